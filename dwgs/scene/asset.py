@@ -11,7 +11,7 @@ from dwgs.scene.gaussians import Gaussians
 
 @dataclass(frozen=True)
 class VehicleAsset:
-    """Gaussians in the vehicle's frame (box centre, x forward, y left, z up) that need nothing of the scene."""
+    """Gaussians in the vehicle's own frame (box centre, x forward, y left, z up): they need no scene."""
 
     body: Gaussians
     """What lies on the vehicle."""

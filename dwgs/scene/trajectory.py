@@ -28,7 +28,9 @@ class Trajectory:
                 f"and {len(self.world_from_vehicle)} poses"
             )
         if not np.isfinite(self.times).all() or (np.diff(self.times) <= 0).any():
-            raise InputError("times of a trajectory are finite and strictly increasing; sort them, drop doubles")
+            raise InputError(
+                "times of a trajectory are finite and strictly increasing; sort them, drop doubles"
+            )
         if not is_rigid(self.world_from_vehicle):
             raise InputError("every pose of a trajectory is a rotation and a translation of finite numbers")
 
@@ -43,8 +45,8 @@ class Trajectory:
         missing = np.flatnonzero(~self.covers(times))
         if len(missing):
             raise InputError(
-                f"trajectory covers {self.times[0]:.2f}-{self.times[-1]:.2f} s but frame {missing[0]} of the clip "
-                f"is at {times[missing[0]]:.2f} s; trim the clip or extend the trajectory"
+                f"trajectory covers {self.times[0]:.2f}-{self.times[-1]:.2f} s but frame {missing[0]} of the "
+                f"clip is at {times[missing[0]]:.2f} s; trim the clip or extend the trajectory"
             )
 
     def at(self, time: ArrayLike) -> NDArray[np.float64]:
