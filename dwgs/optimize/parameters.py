@@ -151,7 +151,7 @@ class PoseParameters:
         self._optimizer = torch.optim.Adam(groups, lr=1.0, betas=(0.9, 0.99), eps=1e-15)
 
     def matrix(self, i: int) -> Tensor:
-        """``old_from_new`` [4, 4] of pose ``i``, differentiable: ``a_from_new = a_from_old @ old_from_new``."""
+        """Differentiable ``old_from_new`` [4, 4] of pose ``i``: ``a_from_new = a_from_old @ old_from_new``."""
         rotation, translation = self.rotations[i], self.translations[i]
         zero = rotation.new_zeros(())
         x, y, z = rotation

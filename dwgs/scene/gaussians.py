@@ -24,7 +24,10 @@ class Gaussians:
     opacities: NDArray[np.float32]
     """[N] in [0, 1]."""
     sh: NDArray[np.float32]
-    """[N, K, 3] real spherical harmonics in this cloud's frame, DC first, K of `SH_COUNTS`; colour = 0.5 + sum."""
+    """[N, K, 3] real spherical harmonics in this cloud's frame, DC first, K of `SH_COUNTS`.
+
+    Colour = 0.5 + sum, sRGB.
+    """
 
     def __post_init__(self) -> None:
         n = len(self.means)
