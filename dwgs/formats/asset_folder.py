@@ -1,0 +1,66 @@
+"""A vehicle asset as a folder: ``gaussians.ply`` (the body), ``shadow.ply``, ``asset.json``."""
+
+from pathlib import Path
+
+import numpy as np
+
+from dwgs.files import new_folder
+from dwgs.formats import ply
+from dwgs.formats.document import read_document, write_document
+from dwgs.scene import InputError, VehicleAsset
+
+STAMP = {
+    "format": "dwgs vehicle asset",
+    "format_version": 1,
+    "frame": {
+        "axes": "x forward, y left, z up",
+        "origin": "box centre",
+        "length_unit": "metre",
+        "quaternion": "wxyz",
+        "spherical_harmonics": "real, DC first, in the axes above",
+        "colour": "sRGB",
+        "motion": "rigid",
+    },
+}
+"""What every asset of this version says, checked on reading: a wrong frame must not pass as a strange car."""
+
+
+def write(asset: VehicleAsset, path: Path) -> None:
+    """Write the folder ``path``, whole or not at all, in place of what was there."""
+    content = {
+        "category": asset.category,
+        "size": [float(side) for side in asset.size],
+        "gaussians": {"body": len(asset.body), "shadow": len(asset.shadow)},
+        "quality": asset.quality,
+        "provenance": asset.provenance,
+    }
+    with new_folder(path) as draft:
+        ply.write(asset.body, draft / "gaussians.ply")
+        ply.write(asset.shadow, draft / "shadow.ply")
+        write_document(content, STAMP, draft / "asset.json")
+
+
+def read(path: Path) -> VehicleAsset:
+    """The asset in the folder ``path``; `InputError` where a file is missing or contradicts another."""
+    path = Path(path)
+    document = read_document(STAMP, path / "asset.json")
+    try:
+        size = np.array(document["size"], np.float64)
+        counts = document["gaussians"]["body"], document["gaussians"]["shadow"]
+        category, provenance = str(document["category"]), dict(document["provenance"])
+        quality = dict(document["quality"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"'{path / 'asset.json'}' lacks an entry or has it in another form: {error}"
+        ) from error
+    if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0).any():
+        raise InputError(
+            f"'{path / 'asset.json'}' has size {document['size']}; it is three positive lengths [m]"
+        )
+    body, shadow = ply.read(path / "gaussians.ply"), ply.read(path / "shadow.ply")
+    if (len(body), len(shadow)) != counts:
+        raise InputError(
+            f"'{path / 'asset.json'}' counts {counts[0]} + {counts[1]} Gaussians, the PLY files beside it have "
+            f"{len(body)} + {len(shadow)}; the folder is a mixture of two"
+        )
+    return VehicleAsset(body, shadow, size, category, provenance, quality)
