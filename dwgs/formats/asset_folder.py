@@ -60,7 +60,7 @@ def read(path: Path) -> VehicleAsset:
     body, shadow = ply.read(path / "gaussians.ply"), ply.read(path / "shadow.ply")
     if (len(body), len(shadow)) != counts:
         raise InputError(
-            f"'{path / 'asset.json'}' counts {counts[0]} + {counts[1]} Gaussians, the PLY files beside it have "
+            f"'{path / 'asset.json'}' counts {counts[0]} + {counts[1]} Gaussians, the PLY files hold "
             f"{len(body)} + {len(shadow)}; the folder is a mixture of two"
         )
     return VehicleAsset(body, shadow, size, category, provenance, quality)

@@ -1,4 +1,4 @@
-"""A background as a folder: ``gaussians.ply``, ``sky.npy``, ``background.json``; exact and provably frozen."""
+"""A background as a folder: ``gaussians.ply``, ``sky.npy``, ``background.json``; exact, provably frozen."""
 
 import hashlib
 from pathlib import Path

@@ -4,9 +4,9 @@ Names, order and activations are those of the reference implementation of "3D Ga
 al., 2023): opacity as a logit, scales as logarithms, rotations wxyz, higher harmonics channel by channel. Our
 own addition is one header comment that names the axes.
 
-Writing what was read gives the same bytes again, because log and exp run in float64 and round once: of a value
-and its logarithm, the coarser one in float32 survives the way there and back. Unit quaternions are kept to the
-bit.
+Writing what was read gives the same bytes again, because log and exp run in float64 and round once: of a
+value and its logarithm, the coarser one in float32 survives the way there and back. Unit quaternions are kept
+to the bit.
 """
 
 from dataclasses import dataclass
@@ -89,7 +89,7 @@ def read(path: Path) -> Gaussians:
         needed = [*_MEANS, *_DC, *rest, "opacity", *_SCALES, *_QUATS]
         if missing := [name for name in needed if name not in names]:
             raise InputError(
-                f"'{path}' lacks {', '.join(missing)}: it holds no Gaussians, or packed ones; convert it first"
+                f"'{path}' lacks {', '.join(missing)}: it has no Gaussians or packed ones; convert it first"
             )
         if len(rest) not in [3 * (k - 1) for k in SH_COUNTS]:
             raise InputError(
@@ -175,8 +175,8 @@ def _read_columns(stream: BinaryIO, header: _Header, path: Path) -> dict[str, ND
     there = path.stat().st_size - stream.tell()
     if needed > there + is_text:  # the last digit may end the file
         raise InputError(
-            f"'{path}' promises {header.count} Gaussians, at least {needed} bytes, but {there} bytes follow its header; "
-            f"it was cut short or is corrupt"
+            f"'{path}' promises {header.count} Gaussians, at least {needed} bytes, "
+            f"but {there} bytes follow its header; it was cut short or is corrupt"
         )
     if not is_text:
         stream.seek(header.bytes_before, 1)
