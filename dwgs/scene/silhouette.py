@@ -61,7 +61,7 @@ def _cut_at_near_plane(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _convex_hull(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners [C, 2] of the hull of ``points`` [P, 2], in the order in which ``cross(edge, inside - start)`` is
+    """Corners [C, 2] of the hull of ``points`` [P, 2], ordered so that ``cross(edge, inside - start)`` is
     positive (Andrew's monotone chain)."""
     points = np.unique(points, axis=0)
 
