@@ -1,0 +1,5 @@
+"""`python -m dwgs` is `dwgs`."""
+
+from dwgs.cli import main
+
+main()

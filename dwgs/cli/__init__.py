@@ -1,0 +1,51 @@
+"""The `dwgs` command: one file per verb, heavy imports inside the verbs."""
+
+import sys
+from collections.abc import Sequence
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one verb; exit with 2 and one sentence on bad input, with 130 when interrupted."""
+    import tyro
+
+    from dwgs.cli.condition import Condition
+    from dwgs.cli.distill import Distill
+    from dwgs.cli.generate import Generate
+    from dwgs.cli.insert import Insert
+    from dwgs.cli.inspect import Inspect
+    from dwgs.cli.reconstruct import Reconstruct
+    from dwgs.cli.render import Render
+    from dwgs.scene import InputError
+
+    verbs = {
+        "insert": Insert,
+        "reconstruct": Reconstruct,
+        "condition": Condition,
+        "generate": Generate,
+        "distill": Distill,
+        "render": Render,
+        "inspect": Inspect,
+    }
+    verb = tyro.extras.subcommand_cli_from_dict(
+        verbs,
+        prog="dwgs",
+        description="Put a vehicle into a recorded drive, and take it home as 3D Gaussians.",
+        args=arguments,
+        config=(tyro.conf.OmitArgPrefixes,),
+    )
+    try:
+        verb.run()
+    except InputError as error:
+        fail(str(error))
+    except OSError as error:
+        place = f" ({error.filename})" if error.filename else ""
+        fail(f"the system says: {error.strerror or error}{place}; nothing half-written is left behind")
+    except KeyboardInterrupt:
+        print("dwgs: interrupted; finished stages are kept", file=sys.stderr)
+        sys.exit(130)
+
+
+def fail(sentence: str) -> None:
+    """Say what is wrong and leave."""
+    print(f"dwgs: {sentence}", file=sys.stderr)
+    sys.exit(2)

@@ -1,0 +1,94 @@
+"""dwgs distill: the vehicle as Gaussians."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from dwgs.cli.options import ClipOptions
+from dwgs.cli.progress import Bar, say
+from dwgs.cli.reconstruct import clip_key
+from dwgs.cli.stage import StageRecord, fingerprint, run_stage
+from dwgs.scene import InputError, Insertion, Scene
+
+TRAJECTORY_FILE = "trajectory.json"
+"""Beside the asset: where it drove in the scene it comes from."""
+
+
+@dataclass(frozen=True)
+class Distill:
+    """Fit a vehicle's Gaussians to a video, against a frozen background: inserted, or recorded (--track)."""
+
+    clip: ClipOptions
+    background: Path
+    """Folder from `dwgs reconstruct`."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for the asset."""
+    insertion: Path | None = None
+    """Folder of the insertion (inside a conditions folder), for an edited Scene."""
+    track: str | None = None
+    """Id of a recorded vehicle, or how it begins."""
+    steps: int | None = None
+    """Steps of the optimiser; by default what suits the video."""
+    seed: int = 0
+    """Of everything random."""
+
+    def run(self) -> None:
+        """Leave an asset folder."""
+        from dwgs.formats import background_folder
+
+        scene = self.clip.open()
+        if (self.track is None) == (self.insertion is None):
+            raise InputError(
+                "distill one vehicle: --track ID for a recorded one, --insertion DIR for an edited Scene"
+            )
+        background = background_folder.read(self.background)
+        if self.track is not None:
+            insertion = insertion_of_track(scene, self.track)
+        else:
+            from generator.conditions import read_insertion
+
+            insertion = read_insertion(self.insertion)
+        source = {
+            "clip": clip_key(self.clip),
+            "background": background_folder.fingerprint(self.background),
+            "insertion": self.track if self.insertion is None else fingerprint(self.insertion),
+        }
+        record = distill_stage(scene, background, insertion, source, self.out, self.steps, self.seed)
+        report = record.report
+        say(f"held-out ROI PSNR {report['psnr_roi_heldout']:.2f} dB, {report['gaussians']:,} Gaussians")
+        say(
+            f"next: dwgs render {self.clip.scene} --background {self.background} --asset {self.out} "
+            "--move 0 3 0 -o moved.mp4"
+        )
+
+
+def insertion_of_track(scene: Scene, id: str) -> Insertion:
+    """A recorded vehicle as if it had been inserted where it drove."""
+    from generator.conditions.points import points_of_track
+
+    track = scene.track(id)
+    if not track.is_vehicle:
+        raise InputError(f"only vehicles are rigid enough to distil, track {track.id} is a {track.category}")
+    vehicle, size = points_of_track(scene, track)
+    return Insertion(vehicle, size, track.trajectory, track.category)
+
+
+def distill_stage(
+    scene: Scene, background, insertion: Insertion, source: dict, folder: Path, steps: int | None, seed: int
+) -> StageRecord:
+    """Fit the asset of ``insertion`` into ``folder``."""
+
+    def make(draft: Path, progress: Bar) -> dict:
+        from dwgs.distill import DistillConfig, distill
+        from dwgs.formats import asset_folder
+        from dwgs.scene.motion_file import write_trajectory
+
+        config = DistillConfig(seed=seed) if steps is None else DistillConfig(seed=seed, steps=steps)
+        asset, report = progress.follow(distill(scene, background, insertion, config))
+        asset_folder.write(asset, draft)
+        write_trajectory(insertion.trajectory, draft / TRAJECTORY_FILE)
+        return report
+
+    return run_stage(folder, "distill", {"source": source, "steps": steps, "seed": seed}, make)

@@ -1,0 +1,58 @@
+"""dwgs generate: the edited video."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from dwgs.cli.options import ClipOptions
+from dwgs.cli.progress import Bar, say
+from dwgs.cli.reconstruct import clip_key
+from dwgs.cli.stage import StageRecord, fingerprint, run_stage
+from dwgs.scene import Scene
+
+
+@dataclass(frozen=True)
+class Generate:
+    """Make the video in which the vehicle drives: the same cameras, new pixels."""
+
+    clip: ClipOptions
+    conditions: Path
+    """Folder of conditions, from `dwgs condition`."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for the edited Scene."""
+    generator: str = "composite"
+    """Backend that makes the pixels."""
+    seed: int = 0
+    """Of everything random."""
+
+    def run(self) -> None:
+        """Leave an edited Scene folder."""
+        scene = self.clip.open()
+        source = {"clip": clip_key(self.clip), "conditions": fingerprint(self.conditions)}
+        generate_stage(scene, self.conditions, source, self.out, self.generator, self.seed)
+        say(
+            f"next: dwgs distill {self.out} --insertion {self.conditions}/insertion "
+            "--background bg/ -o asset/"
+        )
+
+
+def generate_stage(
+    scene: Scene, conditions: Path, source: dict, folder: Path, generator: str, seed: int
+) -> StageRecord:
+    """Generate the edited Scene of a conditions folder into ``folder``."""
+    from generator import backend
+
+    chosen = backend(generator)
+
+    def make(draft: Path, progress: Bar) -> dict:
+        from dwgs.datasets import folder as scene_folder
+        from generator.conditions import read
+
+        edited = chosen.generate(read(conditions, scene), seed, progress.count)
+        scene_folder.write(edited, draft)
+        return {"generator": generator, "frames": len(edited.all_frames())}
+
+    inputs = {"source": source, "generator": generator, "seed": seed}
+    return run_stage(folder, "generate", inputs, make)

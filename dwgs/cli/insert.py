@@ -1,0 +1,133 @@
+"""dwgs insert: the whole way, from a recorded drive to the edited drive and the vehicle's Gaussians."""
+
+import json
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from dwgs.cli.condition import condition_stage, insertion_key
+from dwgs.cli.distill import distill_stage
+from dwgs.cli.films import film_stage
+from dwgs.cli.generate import generate_stage
+from dwgs.cli.options import ClipOptions, PlacementOptions, VehicleOptions, author_insertion
+from dwgs.cli.progress import Bar, say
+from dwgs.cli.reconstruct import clip_key, reconstruct_stage
+from dwgs.cli.report import write_page
+from dwgs.cli.stage import StageRecord, run_stage, versions
+from dwgs.files import new_file
+from dwgs.scene import Scene
+
+
+@dataclass(frozen=True)
+class Insert:
+    """Put a vehicle into a recorded drive, and distil it: edited video, background, asset, report."""
+
+    clip: ClipOptions
+    choice: VehicleOptions
+    placement: PlacementOptions
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for everything; stages whose inputs have not changed are not run again."""
+    generator: str = "composite"
+    """Backend that makes the pixels."""
+    background_steps: int | None = None
+    """Steps of the background's optimiser; by default what the clip's length asks for."""
+    distill_steps: int | None = None
+    """Steps of the vehicle's optimiser; by default what suits the video."""
+    seed: int = 0
+    """Of everything random."""
+
+    def run(self) -> None:
+        """Run the chain."""
+        from viewer.scene_graph import SceneGraph
+
+        from dwgs.datasets import folder as scene_folder
+        from dwgs.formats import asset_folder, background_folder
+        from generator import backend
+
+        start = time.perf_counter()
+        backend(self.generator)  # a backend that cannot work says so before an hour is spent
+        clip, stages = self.clip, {}
+        scene = clip.open()
+        insertion, notes = author_insertion(clip, scene, self.choice, self.placement)
+        for note in notes:
+            say(note)
+        key = insertion_key(clip, self.choice, self.placement)
+        if clip.is_street:
+            scene, stages["record"] = self.record(scene)
+        # the cheap stages first: what is wrong with an insertion shows before the long fit
+        stages["condition"] = condition_stage(scene, insertion, key, self.out / "conditions")
+        source, steps = clip_key(clip), self.background_steps
+        stages["reconstruct"] = reconstruct_stage(scene, source, self.out / "background", steps, self.seed)
+        stages["generate"] = generate_stage(
+            scene, self.out / "conditions", key, self.out / "edited", self.generator, self.seed
+        )
+        edited = scene_folder.read(self.out / "edited")
+        background = background_folder.read(self.out / "background")
+        before = background_folder.fingerprint(self.out / "background")
+        source = {"edited": stages["generate"].key, "background": before}
+        stages["distill"] = distill_stage(
+            edited, background, insertion, source, self.out / "asset", self.distill_steps, self.seed
+        )
+        unchanged = before == background_folder.fingerprint(self.out / "background")
+        asset = asset_folder.read(self.out / "asset")
+        stages["films"] = film_stage(self.out, scene, edited, asset, stages["distill"].key)
+        report = self.report(stages, notes, unchanged, time.perf_counter() - start)
+        with new_file(self.out / "report.json") as draft:
+            draft.write_text(json.dumps(report, indent=2, default=str))
+        write_page(self.out, report, scene, edited, SceneGraph(background, [(asset, insertion.trajectory)]))
+        self.say_result(report)
+
+    def record(self, scene: Scene) -> tuple[Scene, StageRecord]:
+        """Drive the embedded street once, so that it is a recording on disk like any other."""
+        from dwgs.datasets import folder as scene_folder
+
+        def make(draft: Path, progress: Bar) -> dict:
+            scene_folder.write(scene, draft, progress.count)
+            return {"frames": len(scene.all_frames())}
+
+        record = run_stage(self.out / "recorded", "record", clip_key(self.clip), make)
+        return scene_folder.read(self.out / "recorded"), record
+
+    def report(
+        self, stages: dict[str, StageRecord], notes: list[str], unchanged: bool, seconds: float
+    ) -> dict[str, Any]:
+        """Everything that was measured, for programs."""
+        return {
+            "command": "dwgs " + " ".join(sys.argv[1:]),
+            "settings": asdict(self),
+            "versions": versions(),
+            "assumed": notes,
+            "seconds": round(seconds, 1),
+            "peak_memory_mib": max(stage.peak_memory_mib for stage in stages.values()),
+            "background_unchanged": unchanged,
+            "stages": {
+                name: {
+                    "seconds": stage.seconds,
+                    "peak_memory_mib": stage.peak_memory_mib,
+                    "skipped": stage.skipped,
+                }
+                for name, stage in stages.items()
+            },
+            "reconstruct": stages["reconstruct"].report,
+            "distill": stages["distill"].report,
+        }
+
+    def say_result(self, report: dict[str, Any]) -> None:
+        """The result in four lines, and what to type next."""
+        distill, reconstruct = report["distill"], report["reconstruct"]
+        say(f"background  held-out PSNR {reconstruct['psnr_heldout']:.2f} dB")
+        say(
+            f"vehicle     held-out ROI PSNR {distill['psnr_roi_heldout']:.2f} dB, "
+            f"SSIM {distill['ssim_roi_heldout']:.4f}, {distill['gaussians']:,} Gaussians"
+        )
+        say(f"everything  {report['seconds']:.0f} s, {report['peak_memory_mib']:.0f} MiB at most")
+        say(f"look at     {self.out / 'report.html'}, {self.out / 'after.mp4'}, {self.out / 'orbit.mp4'}")
+        scene = self.out / "recorded" if self.clip.is_street else self.clip.scene
+        say(
+            f"next        dwgs render {scene} --background {self.out / 'background'} "
+            f"--asset {self.out / 'asset'} --move 3 0 0 -o {self.out / 'moved.mp4'}"
+        )

@@ -1,0 +1,167 @@
+"""What several verbs ask for, and how it becomes nouns."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+
+from dwgs.scene import InputError, Insertion, Scene, Trajectory
+
+WORKING_SIZE = "720x480"
+"""Of the paper: a recording is fitted and edited at this size unless told otherwise."""
+
+STREET = "street"
+"""Names the embedded street where a drive is asked for, and its own car where a vehicle is."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Which part of which drive."""
+
+    scene: tyro.conf.Positional[str]
+    """Folder of a recorded drive: PandaSet's layout, or a Scene folder of ours; 'street' is the embedded one."""
+    camera: tuple[str, ...] = ()
+    """Cameras to use, the main one first; by default the main one alone."""
+    frames: str | None = None
+    """First and last frame, as in 30-78; by default all."""
+    size: str | None = None
+    """Width x height [px] to work at; by default 720x480, or what a Scene folder of ours has."""
+
+    def open(self) -> Scene:
+        """The selected drive at its working size; pixels are read when they are needed."""
+        from dwgs.datasets import open_scene, resize_scene
+        from dwgs.datasets.folder import SCENE_FILE
+
+        if self.is_street:
+            return self.street().scene().select(frames=self._range())
+        scene = open_scene(Path(self.scene))
+        scene = scene.select(list(self.camera) or [scene.main_camera], self._range())
+        if self.size is None and (Path(self.scene) / SCENE_FILE).exists():
+            return scene
+        return resize_scene(scene, *self.width_height)
+
+    def street(self):
+        """The embedded street, as long and as large as asked."""
+        from dwgs.street import build_street
+
+        width, height = self.width_height
+        frames = self._range()
+        return build_street(frames=frames.stop if frames else 193, width=width, height=height)
+
+    @property
+    def is_street(self) -> bool:
+        """Whether the embedded street is meant."""
+        return self.scene == STREET
+
+    @property
+    def width_height(self) -> tuple[int, int]:
+        """[px]."""
+        match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", self.size or WORKING_SIZE)
+        if not match or min(int(match[1]), int(match[2])) < 16:
+            raise InputError(
+                f"--size is width x height of at least 16 px each, as in 720x480; got '{self.size}'"
+            )
+        return int(match[1]), int(match[2])
+
+    def _range(self) -> range | None:
+        if self.frames is None:
+            return None
+        match = re.fullmatch(r"(\d+)-(\d+)", self.frames)
+        if not match or int(match[1]) > int(match[2]):
+            raise InputError(f"--frames is first-last, as in 30-78; got '{self.frames}'")
+        return range(int(match[1]), int(match[2]) + 1)
+
+
+@dataclass(frozen=True)
+class VehicleChoice:
+    """Which vehicle to put in."""
+
+    vehicle: str
+    """A mesh (glTF, OBJ, PLY, ...), a coloured point cloud (PLY), an asset folder, or the id of a recorded
+    track; 'street' is the embedded street's own car."""
+    unit: Literal["m", "cm", "mm", "in", "ft"] | None = None
+    """Unit of the file, where it is not what was assumed."""
+    forward: Literal["x", "-x", "y", "-y", "z", "-z"] | None = None
+    """Axis of the file that points to the vehicle's front, where it is not what was assumed."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the vehicle drives."""
+
+    trajectory: Path | None = None
+    """File of times and poses (JSON or CSV); or use --ahead, --left and --speed."""
+    ahead: float | None = None
+    """Start this far ahead of the recording car, along its path [m]."""
+    left: float = 0.0
+    """Drive this far to the left of that path [m]; negative is right."""
+    speed: float | None = None
+    """Speed along the path [m/s], 0 parks; by default it keeps the recording car's pace."""
+
+    def drive(self, scene: Scene, size: np.ndarray) -> Trajectory:
+        """The trajectory of a vehicle of that size through that scene."""
+        from dwgs.scene.motion_file import read_trajectory
+        from dwgs.scene.placement import place_ahead
+
+        if self.trajectory is not None:
+            if self.ahead is not None:
+                raise InputError("a vehicle drives by --trajectory or by --ahead, not by both; leave one out")
+            return read_trajectory(self.trajectory, size)
+        if self.ahead is None:
+            raise InputError(
+                "nothing says where the vehicle drives; give --trajectory FILE or --ahead METRES"
+            )
+        return place_ahead(scene, size, self.ahead, self.left, self.speed)
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the user said anything."""
+        return self.trajectory is not None or self.ahead is not None
+
+
+def author_insertion(
+    clip: Clip, scene: Scene, choice: VehicleChoice, placement: Placement
+) -> tuple[Insertion, list[str]]:
+    """What the user wants inserted, and what was assumed on the way: one line each."""
+    from generator.conditions.points import load_vehicle, points_of_track
+
+    notes = []
+    path = Path(choice.vehicle)
+    if choice.vehicle == STREET:
+        vehicle, size = clip.street().vehicle
+    elif path.exists() or path.suffix:
+        vehicle, size, note = load_vehicle(path, choice.unit, choice.forward)
+        notes.append(note)
+    else:
+        track = scene.track(choice.vehicle)
+        vehicle, size = points_of_track(scene, track)
+        notes.append(
+            f"{choice.vehicle}: recorded {track.category.lower()}, {len(vehicle.points):,} LiDAR points"
+        )
+    if clip.is_street and choice.vehicle == STREET and not placement.is_given:
+        trajectory = clip.street().insertion().trajectory
+    else:
+        trajectory = placement.drive(scene, size)
+    trajectory.require([frame.camera.time for frame in scene.all_frames()])
+    notes += conflict_notes(scene, size, trajectory)
+    return Insertion(vehicle, size, trajectory), notes
+
+
+def conflict_notes(scene: Scene, size: np.ndarray, trajectory: Trajectory) -> list[str]:
+    """One line for each recorded vehicle that the inserted box runs into."""
+    from dwgs.scene.placement import conflicts
+
+    return [
+        f"the inserted vehicle overlaps recorded track {id} in frames {first}-{last}; --left and --ahead move it"
+        for id, first, last in conflicts(scene, size, trajectory)
+    ]
+
+
+Flat = tyro.conf.arg(name="")
+"""Options of a group stand beside those of the verb."""
+ClipOptions = Annotated[Clip, Flat]
+VehicleOptions = Annotated[VehicleChoice, Flat]
+PlacementOptions = Annotated[Placement, Flat]
