@@ -21,13 +21,14 @@ STREET = "street"
 class Clip:
     """Which part of which drive."""
 
-    scene: tyro.conf.Positional[str]
-    """Folder of a recorded drive: PandaSet's layout, or a Scene folder of ours; 'street' is the embedded one."""
+    scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
+    """Folder of a recorded drive (PandaSet's layout, or a Scene folder of ours), or 'street': the embedded
+    one."""
     camera: tuple[str, ...] = ()
     """Cameras to use, the main one first; by default the main one alone."""
-    frames: str | None = None
+    frames: Annotated[str | None, tyro.conf.arg(metavar="FIRST-LAST")] = None
     """First and last frame, as in 30-78; by default all."""
-    size: str | None = None
+    size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
     """Width x height [px] to work at; by default 720x480, or what a Scene folder of ours has."""
 
     def open(self) -> Scene:
@@ -79,26 +80,31 @@ class Clip:
 class VehicleChoice:
     """Which vehicle to put in."""
 
-    vehicle: str
+    vehicle: Annotated[str, tyro.conf.arg(metavar="CAR")]
     """A mesh (glTF, OBJ, PLY, ...), a coloured point cloud (PLY), an asset folder, or the id of a recorded
     track; 'street' is the embedded street's own car."""
-    unit: Literal["m", "cm", "mm", "in", "ft"] | None = None
+    unit: Annotated[Literal["m", "cm", "mm", "in", "ft"] | None, tyro.conf.arg(metavar="m|cm|mm|in|ft")] = (
+        None
+    )
     """Unit of the file, where it is not what was assumed."""
-    forward: Literal["x", "-x", "y", "-y", "z", "-z"] | None = None
-    """Axis of the file that points to the vehicle's front, where it is not what was assumed."""
+    forward: Annotated[
+        Literal["x", "-x", "y", "-y", "z", "-z"] | None, tyro.conf.arg(metavar="x|-x|y|-y|z|-z")
+    ] = None
+    """Axis of the file that points to the vehicle's front, where it is not what was assumed; write
+    --forward=-y."""
 
 
 @dataclass(frozen=True)
 class Placement:
     """Where the vehicle drives."""
 
-    trajectory: Path | None = None
+    trajectory: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File of times and poses (JSON or CSV); or use --ahead, --left and --speed."""
-    ahead: float | None = None
+    ahead: Annotated[float | None, tyro.conf.arg(metavar="METRES")] = None
     """Start this far ahead of the recording car, along its path [m]."""
-    left: float = 0.0
+    left: Annotated[float, tyro.conf.arg(metavar="METRES")] = 0.0
     """Drive this far to the left of that path [m]; negative is right."""
-    speed: float | None = None
+    speed: Annotated[float | None, tyro.conf.arg(metavar="M/S")] = None
     """Speed along the path [m/s], 0 parks; by default it keeps the recording car's pace."""
 
     def drive(self, scene: Scene, size: np.ndarray) -> Trajectory:
@@ -155,7 +161,7 @@ def conflict_notes(scene: Scene, size: np.ndarray, trajectory: Trajectory) -> li
     from dwgs.scene.placement import conflicts
 
     return [
-        f"the inserted vehicle overlaps recorded track {id} in frames {first}-{last}; --left and --ahead move it"
+        f"the inserted vehicle overlaps recorded track {id} in frames {first}-{last}; --left, --ahead move it"
         for id, first, last in conflicts(scene, size, trajectory)
     ]
 
