@@ -1,0 +1,1 @@
+"""Pictures of backgrounds with vehicles in them, through OpenGL; never torch, never Warp."""
