@@ -17,9 +17,14 @@ def pixel_rays(camera: Camera) -> NDArray[np.float64]:
 
 
 def sky_image(sky: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Colours [H, W, 3] of a sky [h, w, 3] (see `Background.sky`), bilinear between its pixels' centres."""
+    """Colours [H, W, 3] that a camera sees of a sky [h, w, 3] (see `Background.sky`)."""
+    return sky_colors(sky, pixel_rays(camera))
+
+
+def sky_colors(sky: NDArray[np.float32], directions: NDArray) -> NDArray[np.float32]:
+    """Colours [..., 3] of a sky [h, w, 3] along world ``directions`` [..., 3], bilinear between pixel centres."""
     height, width = sky.shape[:2]
-    uv = sky_coordinates(pixel_rays(camera))
+    uv = sky_coordinates(directions)
     column, row = uv[..., 0] * width - 0.5, np.clip(uv[..., 1] * height - 0.5, 0, height - 1)
     left, top = np.floor(column).astype(int), np.floor(row).astype(int)
     right_share, bottom_share = (column - left)[..., None], (row - top)[..., None]
