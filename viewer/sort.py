@@ -12,7 +12,7 @@ def back_to_front(keys: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
     Keys are the bits of positive float32 depths, which sort like the depths. All 32 bits count: with 16 an
     image falls to 50 dB. Of equal depths the first in the buffer lies in front, as in the splatter. NumPy
-    sorts 16-bit keys stably by radix and wider ones by merging: two narrow passes are faster than one wide one.
+    sorts 16-bit keys stably by radix and wider ones by merging: two narrow passes are faster than a wide one.
     """
     visible = np.flatnonzero(keys != CULLED)
     keys = keys[visible]

@@ -4,8 +4,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from viewer.passes.project import set_uniforms
-from viewer.shaders import source
+from viewer.shaders import set_uniforms, source
 
 
 class Compositing:

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from dwgs.scene import Camera, Gaussians
 from dwgs.scene.pose import inverse
-from viewer.shaders import source
+from viewer.shaders import intrinsics, set_uniforms, source
 
 SPLAT_BYTES = 64
 """Size of ``Splat`` in splat.glsl."""
@@ -69,14 +69,3 @@ class Projection:
         for key in self._clouds.keys() - {id(cloud) for cloud in clouds}:
             for buffer in self._clouds.pop(key)[1]:
                 buffer.release()
-
-
-def intrinsics(camera: Camera) -> tuple[float, float, float, float]:
-    """(fx, fy, cx, cy) [px]."""
-    return camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
-
-
-def set_uniforms(program: moderngl.Program | moderngl.ComputeShader, **values: object) -> None:
-    """Set uniforms by name; matrices are flat and column by column."""
-    for name, value in values.items():
-        program[name] = value

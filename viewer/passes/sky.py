@@ -5,8 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dwgs.scene import Camera
-from viewer.passes.project import intrinsics, set_uniforms
-from viewer.shaders import source
+from viewer.shaders import intrinsics, set_uniforms, source
 
 
 class Sky:
