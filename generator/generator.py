@@ -1,0 +1,71 @@
+"""What every backend can be asked."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from dwgs.scene import InputError, Scene
+
+if TYPE_CHECKING:
+    from generator.conditions.conditions import Conditions
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What a backend needs and promises."""
+
+    max_frames: int | None
+    """Longest clip in one call, or None for any length."""
+    size_multiple: int
+    """Width and height of the images are multiples of this [px]."""
+    device: str
+    """Where it runs: ``cpu`` or ``cuda``."""
+    needs_weights: bool
+    """Whether files must be downloaded before it works."""
+    deterministic: bool
+    """Whether the same conditions and seed give the same bytes."""
+
+
+class Generator(Protocol):
+    """Fills the reactive masks of `Conditions`."""
+
+    @property
+    def name(self) -> str:
+        """What `backend` knows it by."""
+        ...
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What it needs and promises."""
+        ...
+
+    def generate(
+        self, conditions: "Conditions", seed: int, on_progress: Callable[[int, int], None] | None = None
+    ) -> Scene:
+        """The same cameras with new pixels inside the reactive masks; outside they are the recording's, bit for bit.
+
+        Args:
+            conditions: What to draw where.
+            seed: Chooses among equally good answers.
+            on_progress: Called with (frames done, frames in all).
+        """
+        ...
+
+
+BACKENDS = ("composite",)
+"""Names that `backend` knows."""
+
+
+def backend(name: str) -> Generator:
+    """The generator of that name; it is imported only now.
+
+    Raises:
+        InputError: No backend is called so.
+    """
+    if name == "composite":
+        from generator.composite import CompositeGenerator
+
+        return CompositeGenerator()
+    raise InputError(
+        f"no generator is called '{name}'; there is {', '.join(BACKENDS)} (needs no weights, runs anywhere)"
+    )
