@@ -1,0 +1,78 @@
+"""How a distillation is run, and the two recipes that were measured."""
+
+from dataclasses import dataclass
+
+from dwgs.optimize import Rates
+
+
+@dataclass(frozen=True)
+class DistillConfig:
+    """What may be asked of a distillation. The same values and input give the same bytes."""
+
+    steps: int = 2500
+    """Length of the schedule. Never stop early: the rates fall, and quality rises, at its end."""
+    gaussians: int = 20_000
+    """At most so many on the vehicle's body."""
+    shadow_margin: float = 2.5
+    """How far around the box a shadow is looked for [m]."""
+    lidar_weight: float = 0.02
+    """Weight of the relative LiDAR depth error, outside reactive masks; 0 leaves it out."""
+    threads: int = 2
+    """How many frames are prepared at once, and how many threads composite one."""
+    seed: int = 0
+    """Chooses the order of the views."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """Settings that depend on what made the pixels."""
+
+    body: Rates
+    shadow: Rates
+    hold: float
+    """Fraction of the schedule at full rates; after it they fall exponentially."""
+    final: float
+    """Factor on the rates at the end."""
+    robust: bool
+    """L1 with D-SSIM, which forgive what no rigid car explains; else squared error, views equally heavy."""
+    refines_poses: bool
+    """Whether boxes were annotated and may be off by centimetres; a generated vehicle is where it was put."""
+    visible: float
+    """Frames that show a smaller part of the vehicle's points are left out."""
+
+
+GENERATED = Recipe(
+    body=Rates(
+        means=1.1e-3,
+        quats=1.8e-2,
+        scales=4.5e-2,
+        opacities=0.16,
+        sh_dc=4.5e-2,
+        sh_rest=1.8e-2,
+        betas=(0.8, 0.95),
+    ),
+    shadow=Rates(
+        means=4e-3, quats=1e-2, scales=3e-2, opacities=0.1, sh_dc=2e-2, sh_rest=0.0, betas=(0.8, 0.95)
+    ),
+    hold=0.6,
+    final=0.05,
+    robust=False,
+    refines_poses=False,
+    visible=0.0,
+)
+"""For clean video whose geometry is exact."""
+
+RECORDED = Recipe(
+    body=Rates(
+        means=2e-3, quats=1.6e-2, scales=4e-2, opacities=0.1, sh_dc=4e-2, sh_rest=1e-2, betas=(0.9, 0.99)
+    ),
+    shadow=Rates(
+        means=4e-3, quats=1e-2, scales=3e-2, opacities=0.1, sh_dc=2e-2, sh_rest=0.0, betas=(0.9, 0.99)
+    ),
+    hold=0.0,
+    final=0.05,
+    robust=True,
+    refines_poses=True,
+    visible=0.3,
+)
+"""For a car that a camera saw: annotated boxes, turning wheels, reflections."""

@@ -1,0 +1,188 @@
+"""The loop: a vehicle is learnt while everything around it stands still."""
+
+import time
+from collections.abc import Generator
+from dataclasses import asdict
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dwgs.distill.config import GENERATED, RECORDED, DistillConfig, Recipe
+from dwgs.distill.coverage import Coverage
+from dwgs.distill.evaluate import score, summary
+from dwgs.distill.initialize import initialize_body, initialize_shadow
+from dwgs.distill.layers import FrozenBackground, fingerprint
+from dwgs.distill.model import BoxPoses, Part, body_bounds, shadow_bounds
+from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
+from dwgs.optimize import (
+    Evaluated,
+    Event,
+    Grown,
+    Step,
+    dssim,
+    hold_then_decay,
+    view_order,
+    weighted_l1,
+    weighted_mse,
+)
+from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, VehicleAsset
+from dwgs.scene.pose import transform_points
+from dwgs.scene.silhouette import NEAR
+from dwgs.splat import Splats, project
+
+TAIL = 0.1
+"""Fraction of the schedule, its end, over which the result is averaged."""
+DSSIM_SHARE = 0.2
+"""Of the robust loss."""
+EVENNESS = (0.5, 2.0)
+"""Bounds on the weight that makes every view equally heavy."""
+
+
+def distill(
+    scene: Scene, background: Background, insertion: Insertion, config: DistillConfig | None = None
+) -> Generator[Event, None, tuple[VehicleAsset, dict]]:
+    """Learn the vehicle that a scene shows, as Gaussians in its own frame; the background is frozen.
+
+    A scene whose frames carry reactive masks is generated video: its vehicle is exactly where the insertion
+    says, and is learnt from every frame that shows it. Otherwise the vehicle was recorded: its box is refined
+    in every frame, and the loss forgives what no rigid body does. Every eighth frame is only scored.
+
+    Yields events while it runs; returns the asset and a report of JSON values. Raises `InputError` where no
+    frame shows the vehicle, or where a generated clip outlasts the trajectory.
+    """
+    config = config or DistillConfig()
+    if config.steps < 1 or config.gaussians < 1:
+        raise InputError(f"a distillation has at least one step and one Gaussian, got {config}")
+    started, before = time.monotonic(), fingerprint(background)
+    is_generated = any(frame.load_reactive_mask is not None for frame in scene.all_frames())
+    recipe = GENERATED if is_generated else RECORDED
+    frozen = FrozenBackground(background, scene.all_frames())
+
+    sights = find_sights(scene, frozen, insertion, recipe)
+    shadow = initialize_shadow(insertion.size, config.shadow_margin)
+    shadow = shadow[_seen_often(shadow, sights)]
+    body = initialize_body(insertion.vehicle, insertion.size, config.gaussians)
+    parts = [
+        Part(body, recipe.body, body_bounds(insertion.size)),
+        Part(shadow, recipe.shadow, shadow_bounds(insertion.size, shadow)),
+    ]
+    yield Grown(0, len(body) + len(shadow))
+
+    bounds = np.stack([part.bounds for part in parts])
+    bounds = np.stack([bounds[:, 0].min(0), bounds[:, 1].max(0)])
+    shots = yield from prepare_shots(sights, scene, frozen, insertion, bounds, config.threads)
+    prepared = time.monotonic()
+
+    poses = BoxPoses(len(shots)) if recipe.refines_poses else None
+    yield from _fit(shots, parts, poses, recipe, config)
+    body, shadow = (part.finish() for part in parts)
+    if poses is not None:
+        poses.interpolate([s.sight.frame.camera.time for s in shots], [not s.sight.held_out for s in shots])
+    fitted = time.monotonic()
+
+    report = _evaluate(shots, body, shadow, poses, config.threads)
+    yield Evaluated(config.steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
+    report |= _coverage(sights, insertion)
+    report |= {
+        "kind": "generated" if is_generated else "recorded",
+        "gaussians": len(body) + len(shadow),
+        "gaussians_body": len(body),
+        "gaussians_shadow": len(shadow),
+        "steps": config.steps,
+        "seconds": {
+            "prepare": round(prepared - started, 2),
+            "fit": round(fitted - prepared, 2),
+            "evaluate": round(time.monotonic() - fitted, 2),
+        },
+        "background_unchanged": fingerprint(background) == before,
+    }
+    provenance = {"scene": scene.name, "config": asdict(config), "background": before}
+    quality = {key: report[key] for key in ("psnr_roi_heldout", "ssim_roi_heldout", "psnr_object_heldout")}
+    quality |= {key: report[key] for key in ("azimuths", "side_pixels")}
+    asset = VehicleAsset(body, shadow, np.asarray(insertion.size), insertion.category, provenance, quality)
+    return asset, report
+
+
+def _fit(
+    shots: list[Shot], parts: list[Part], poses: BoxPoses | None, recipe: Recipe, config: DistillConfig
+) -> Generator[Event, None, None]:
+    """Run the schedule."""
+    learnt = [i for i, shot in enumerate(shots) if not shot.sight.held_out]
+    squared_errors: dict[int, float] = {}
+    order = view_order(len(learnt), config.seed)
+    for step in range(1, config.steps + 1):
+        i = learnt[next(order)]
+        shot = shots[i]
+        view = shot.view
+        if poses is not None and step > len(learnt):
+            view = shot.view_at(poses.old_from_new(i))
+        rendering = shot.frozen.composite(
+            [project(p.splats(), view, config.threads) for p in parts], view, config.threads
+        )
+        loss = _photometric(rendering.rgb * shot.frozen.gain, shot, recipe, squared_errors, i)
+        if shot.lidar is not None and config.lidar_weight > 0:
+            loss = loss + config.lidar_weight * shot.lidar.error(rendering)
+        loss.backward()
+        factor = hold_then_decay(step, config.steps, recipe.hold, recipe.final)
+        for part in parts:
+            part.step(factor, is_averaged=step > (1 - TAIL) * config.steps)
+        if poses is not None and view is not shot.view:
+            poses.step(factor)
+        yield Step(step, config.steps, loss.item())
+
+
+def _photometric(rgb: Tensor, shot: Shot, recipe: Recipe, squared_errors: dict[int, float], i: int) -> Tensor:
+    """The loss on colour of view ``i``; remembers its squared error."""
+    if recipe.robust:
+        l1 = weighted_l1(rgb, shot.target, shot.weight)
+        return (1 - DSSIM_SHARE) * l1 + DSSIM_SHARE * dssim(rgb, shot.target, shot.weight)
+    mse = weighted_mse(rgb, shot.target, shot.weight)
+    squared_errors[i] = max(mse.item(), 1e-8)
+    mean = sum(squared_errors.values()) / len(squared_errors)
+    return mse * float(np.clip((mean / squared_errors[i]) ** 0.5, *EVENNESS))
+
+
+def _seen_often(shadow: Gaussians, sights: list[Sight]) -> np.ndarray:
+    """[N] whether at least half the frames that could show a place on the ground have it in their region."""
+    could, does = np.zeros(len(shadow)), np.zeros(len(shadow))
+    for sight in sights:
+        if sight.held_out:
+            continue
+        region, window = sight.region, sight.region.window
+        pixels, depth = sight.camera.project(transform_points(sight.world_from_vehicle, shadow.means))
+        in_image = (
+            (depth > NEAR)
+            & (pixels >= 0).all(1)
+            & (pixels < (sight.camera.width, sight.camera.height)).all(1)
+        )
+        in_window = in_image & (pixels >= (window.x, window.y)).all(1)
+        in_window &= (pixels < (window.x + window.width, window.y + window.height)).all(1)
+        column, row = np.floor(pixels[in_window] - (window.x, window.y)).astype(int).T
+        mask = region.reactive if region.reactive.any() else region.supervised
+        could += in_image
+        does[in_window] += mask[row, column]
+    return (does > 0) & (does >= could / 2)
+
+
+def _evaluate(
+    shots: list[Shot], body: Gaussians, shadow: Gaussians, poses: BoxPoses | None, threads: int
+) -> dict:
+    """Scores of every frame, held-out and learnt."""
+    splats = Splats.from_gaussians(body), Splats.from_gaussians(shadow)
+    scores = []
+    for i, shot in enumerate(shots):
+        with torch.no_grad():
+            view = shot.view if poses is None else shot.view_at(poses.old_from_new(i))
+        scores.append(score(shot, view, *splats, threads)[0])
+    return summary(scores)
+
+
+def _coverage(sights: list[Sight], insertion: Insertion) -> dict:
+    """From where the vehicle was seen, over the frames that taught it."""
+    coverage = Coverage(insertion.size)
+    for sight in sights:
+        if not sight.held_out:
+            camera = sight.region.window.camera(sight.camera)
+            coverage.add(camera, sight.world_from_vehicle, sight.region.supervised)
+    return coverage.report()

@@ -1,0 +1,118 @@
+"""Where the vehicle's Gaussians begin."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from dwgs.scene import Gaussians, VehiclePoints
+from dwgs.scene.pose import quat_from_rotation
+
+SH_DC = 0.28209479177387814
+"""Value of the constant spherical harmonic: colour = 0.5 + SH_DC * coefficient."""
+NEIGHBOURS = 10
+"""Points that say how dense the cloud is and which way it faces."""
+MIRROR_DISTANCE = 0.08
+"""A mirrored point further [m] than this from every measured one fills a side that nobody saw."""
+SHADOW_SPACING = 0.12
+"""Between shadow Gaussians [m]."""
+SHADOW_LIFT = 0.04
+"""Height of the shadow above the ground [m]: sorted by centre, a disc in the road would sink into it."""
+
+
+def initialize_body(vehicle: VehiclePoints, size: NDArray, count: int) -> Gaussians:
+    """Discs on the vehicle's surface, at most ``count``, spaced evenly, with colours of degree 1.
+
+    A scan is mirrored about the plane y = 0 where only one side was seen. Points outside the box, grown by
+    10 %, are dropped.
+    """
+    points, colors, normals = vehicle.points, vehicle.colors / np.float32(255), vehicle.normals
+    if not vehicle.is_complete:
+        points, colors, normals = _mirrored(points, colors, normals)
+    inside = (np.abs(points) <= 0.55 * np.asarray(size)).all(1)
+    chosen, colors = _thinned(points, colors, np.flatnonzero(inside), count)
+    points = points[chosen]
+
+    tree = cKDTree(points)
+    neighbours = min(NEIGHBOURS, len(points))
+    distances, indices = tree.query(points, neighbours)
+    distances, indices = distances.reshape(len(points), -1), indices.reshape(len(points), -1)
+    spacing = np.clip(distances[:, 1:5].mean(1) if neighbours > 1 else np.full(len(points), 0.05), 0.005, 0.2)
+    if normals is None:
+        axes, flatness = _principal_axes(points, indices)
+    else:
+        axes, flatness = _axes_about(normals[chosen]), np.full(len(points), 0.1)
+    scales = np.stack([0.7 * spacing, 0.7 * spacing, 0.7 * spacing * flatness], 1)
+
+    sh = np.zeros((len(points), 4, 3), np.float32)
+    sh[:, 0] = (colors - 0.5) / SH_DC
+    return Gaussians(
+        points.astype(np.float32),
+        quat_from_rotation(axes).astype(np.float32),
+        scales.astype(np.float32),
+        np.full(len(points), 0.7, np.float32),
+        sh,
+    )
+
+
+def initialize_shadow(size: NDArray, margin: float) -> Gaussians:
+    """Faint black discs flat on the ground, under the box and ``margin`` [m] around it."""
+    half = np.asarray(size)[:2] / 2 + margin
+    x, y = (np.arange(-h + SHADOW_SPACING / 2, h, SHADOW_SPACING) for h in half)
+    grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+    n = len(grid)
+    means = np.column_stack([grid, np.full(n, SHADOW_LIFT - size[2] / 2)])
+    scales = np.tile([0.7 * SHADOW_SPACING, 0.7 * SHADOW_SPACING, 0.01], (n, 1))
+    sh = np.full((n, 1, 3), (0.03 - 0.5) / SH_DC, np.float32)
+    quats = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
+    return Gaussians(
+        means.astype(np.float32), quats, scales.astype(np.float32), np.full(n, 0.05, np.float32), sh
+    )
+
+
+def _mirrored(points, colors, normals):
+    """The cloud and those of its mirror images that lie where it has nothing."""
+    images = points * np.float32([1, -1, 1])
+    fresh = cKDTree(points).query(images, distance_upper_bound=MIRROR_DISTANCE)[0] > MIRROR_DISTANCE
+    points, colors = np.concatenate([points, images[fresh]]), np.concatenate([colors, colors[fresh]])
+    if normals is not None:
+        normals = np.concatenate([normals, normals[fresh] * np.float32([1, -1, 1])])
+    return points, colors, normals
+
+
+def _thinned(points, colors, candidates, count):
+    """One point per voxel, the first, with the mean colour; voxels as small as ``count`` allows."""
+
+    def occupied(voxel: float) -> tuple[NDArray, NDArray]:
+        cells = np.floor(points[candidates] / voxel).astype(np.int64) + (1 << 20)
+        keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
+        return np.unique(keys, return_index=True, return_inverse=True)[1:]
+
+    if len(candidates) <= count:
+        return candidates, colors[candidates]
+    low, high = 1e-3, 1.0
+    for _ in range(12):
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if len(occupied(middle)[0]) > count else (low, middle)
+    first, voxel_of_point = occupied(high)
+    sums = np.zeros((len(first), 3))
+    np.add.at(sums, voxel_of_point, colors[candidates])
+    return candidates[first], sums / np.bincount(voxel_of_point)[:, None]
+
+
+def _principal_axes(points, indices):
+    """Rotations [N, 3, 3] whose last column is the normal of each neighbourhood, and how flat each is [N]."""
+    around = points[indices] - points[indices].mean(1, keepdims=True)
+    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around).astype(np.float64))
+    axes = axes[:, :, ::-1].copy()
+    axes[np.linalg.det(axes) < 0, :, 2] *= -1
+    ratio = np.sqrt(np.maximum(spread[:, 0], 0) / np.maximum(spread[:, 1], 1e-12))
+    return axes, np.clip(ratio, 0.1, 1.0)
+
+
+def _axes_about(normals):
+    """Rotations [N, 3, 3] whose last column is the given direction."""
+    z = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    steepest = np.eye(3)[np.abs(z).argmin(1)]
+    x = np.cross(steepest, z)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return np.stack([x, np.cross(z, x), z], -1)

@@ -1,0 +1,113 @@
+"""The frozen background as exact layers in front of and behind a vehicle.
+
+A pixel is composited by the depth of Gaussian *centres*. The vehicle's centres lie in an interval of depth
+known beforehand, so the background splits once per frame into what is always before it, what is always behind
+it, and what lies between. The first two become images; the rest stays as projected records and is composited
+with the vehicle, Gaussian by Gaussian. The picture is that of both clouds in one pass, but for what the
+stopping rule lets pass.
+"""
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dwgs.scene import Background, Camera, Frame, Trajectory
+from dwgs.scene.pose import inverse, transform_points
+from dwgs.scene.sky import sky_image
+from dwgs.splat import Layers, Projected, Rendering, Splats, View, composite, project
+
+DEPTH_SLACK = 1e-3
+"""Widens an interval of depths [m]: the renderer computes them in float32."""
+
+
+@dataclass(frozen=True)
+class FrozenView:
+    """One window of one frame, without the vehicle, ready to be composited with it."""
+
+    layers: Layers
+    """What is before every centre of the vehicle, and what is behind, with the sky."""
+    between: Projected
+    """Background Gaussians among those of the vehicle."""
+    gain: Tensor
+    """[3] exposure of this camera, on the composited colour."""
+
+    def composite(self, vehicle: list[Projected], view: View, threads: int) -> Rendering:
+        """The window with the vehicle in it, before exposure."""
+        return composite([*vehicle, self.between], view, self.layers, threads)
+
+
+class FrozenBackground:
+    """A background as the splatter wants it, and where its cameras really are. Nothing is written to it."""
+
+    def __init__(self, background: Background, frames: tuple[Frame, ...] | list[Frame]) -> None:
+        self._background = background
+        self._splats = Splats.from_gaussians(background.gaussians)
+        self._corrections = _corrections(background, frames)
+
+    def camera(self, frame: Frame) -> Camera:
+        """The frame's camera as the background was fitted with it, interpolated where it was not."""
+        correction = self._corrections.get(frame.camera_name)
+        if correction is None:
+            return frame.camera
+        return frame.camera.at(frame.camera.world_from_camera @ correction.at(frame.camera.time))
+
+    def freeze(self, camera: Camera, camera_name: str, interval: tuple[float, float]) -> FrozenView:
+        """Split the view of a camera at an ``interval`` of centre depths [m]; thread-safe."""
+        view = View.from_camera(camera)
+        with torch.no_grad():
+            projected = project(self._splats, view, threads=1)
+            drawn = projected.visible
+            before, behind = projected.depths < interval[0], projected.depths > interval[1]
+            front = composite(projected[drawn & before], view, threads=1)
+            back = composite(projected[drawn & behind], view, threads=1)
+            sky = torch.from_numpy(sky_image(self._background.sky, camera))
+            layers = Layers(
+                front.rgb,
+                front.depth,
+                1 - front.alpha,
+                back.rgb + (1 - back.alpha)[..., None] * sky,
+                back.depth,
+                back.alpha,
+            )
+            gain = self._background.exposure.get(camera_name, np.ones(3, np.float32))
+            return FrozenView(layers, projected[drawn & ~before & ~behind], torch.from_numpy(gain))
+
+
+def depth_interval(
+    camera_from_vehicle: NDArray[np.float64], bounds: NDArray[np.float64], slack: float
+) -> tuple[float, float]:
+    """Depths [m] between which centres inside ``bounds`` [2, 3] of the vehicle frame lie, plus ``slack``."""
+    corners = np.array([[x, y, z] for x in bounds[:, 0] for y in bounds[:, 1] for z in bounds[:, 2]])
+    depth = transform_points(camera_from_vehicle, corners)[:, 2]
+    return float(depth.min() - slack - DEPTH_SLACK), float(depth.max() + slack + DEPTH_SLACK)
+
+
+def fingerprint(background: Background) -> str:
+    """A hash of every number of a background: equal before and after means that it was left alone."""
+    digest = hashlib.sha256()
+    g = background.gaussians
+    for array in (g.means, g.quats, g.scales, g.opacities, g.sh, background.sky):
+        digest.update(np.ascontiguousarray(array))
+    for key in sorted(background.exposure):
+        digest.update(np.ascontiguousarray(background.exposure[key]))
+    for key in sorted(background.poses):
+        digest.update(np.ascontiguousarray(background.poses[key]))
+    return digest.hexdigest()
+
+
+def _corrections(background: Background, frames) -> dict[str, Trajectory]:
+    """Camera name to ``recorded_from_refined`` over time."""
+    known: dict[str, list[tuple[float, NDArray[np.float64]]]] = {}
+    for frame in sorted(frames, key=lambda f: f.camera.time):
+        refined = background.poses.get((frame.camera_name, frame.index))
+        if refined is not None:
+            correction = inverse(frame.camera.world_from_camera) @ refined
+            known.setdefault(frame.camera_name, []).append((frame.camera.time, correction))
+    return {
+        name: Trajectory(np.array([t for t, _ in pairs]), np.array([c for _, c in pairs]))
+        for name, pairs in known.items()
+    }

@@ -1,0 +1,80 @@
+"""LiDAR depths that a vehicle must agree with.
+
+Inside a reactive mask the sweep shows the street as it was *before* the vehicle: nothing there is ever used.
+Outside it says where the street is, and that the vehicle is not before it; of a recorded car it says where
+its surface is. There is no sky term at all: the sky is part of the frozen background and cannot be learnt.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor, from_numpy
+
+from dwgs.distill.region import Region
+from dwgs.scene import Camera, Insertion, LidarSweep
+from dwgs.scene.pose import inverse
+from dwgs.scene.silhouette import NEAR
+from dwgs.splat import Rendering
+
+BOX_MARGIN = 0.1
+"""A return this far outside the box [m] still belongs to the car."""
+
+
+@dataclass(frozen=True)
+class LidarDepths:
+    """Measured depths at some pixels of a window."""
+
+    pixels: Tensor
+    """[M] flat indices into the window."""
+    depths: Tensor
+    """[M] along the optical axis [m]."""
+
+    def error(self, rendering: Rendering) -> Tensor:
+        """Mean relative difference of the rendered depth, where something is rendered."""
+        depth = rendering.expected_depth.reshape(-1)[self.pixels]
+        return ((depth - self.depths).abs() / self.depths).clamp_max(0.5).mean()
+
+
+def static_depths(sweep: LidarSweep, camera: Camera, region: Region) -> LidarDepths | None:
+    """What the sweep says in the supervised rim around a reactive mask; None where it says nothing.
+
+    Args:
+        sweep: Of the same instant.
+        camera: Of the whole image.
+        region: Of the same frame.
+    """
+    return _in_window(sweep.points, camera, region)
+
+
+def carried_depths(
+    sweep: LidarSweep, camera: Camera, world_from_vehicle: NDArray, insertion: Insertion, region: Region
+) -> LidarDepths | None:
+    """The returns on a recorded car, each carried by the car from its own time to the camera's."""
+    covered = insertion.trajectory.covers(sweep.times)
+    points, times = sweep.points[covered], sweep.times[covered]
+    reach = np.linalg.norm(insertion.size) + insertion.trajectory.length
+    near = np.linalg.norm(points - world_from_vehicle[:3, 3], axis=1) < reach
+    points, times = points[near], times[near]
+    vehicle_from_world = inverse(insertion.trajectory.at(times))
+    in_vehicle = np.einsum("nij,nj->ni", vehicle_from_world[:, :3, :3], points) + vehicle_from_world[:, :3, 3]
+    on_car = (np.abs(in_vehicle) < insertion.size / 2 + BOX_MARGIN).all(1)
+    moved = in_vehicle[on_car] @ world_from_vehicle[:3, :3].T + world_from_vehicle[:3, 3]
+    return _in_window(moved, camera, region)
+
+
+def _in_window(points: NDArray, camera: Camera, region: Region) -> LidarDepths | None:
+    """Nearest depth per pixel of the window, where it is supervised and not reactive."""
+    window = region.window
+    pixels, depth = window.camera(camera).project(points)
+    with np.errstate(invalid="ignore"):
+        inside = (depth > NEAR) & (pixels >= 0).all(1) & (pixels < (window.width, window.height)).all(1)
+    column, row = pixels[inside].astype(int).T
+    depth = depth[inside]
+    allowed = (region.supervised & ~region.reactive)[row, column]
+    flat, depth = (row * window.width + column)[allowed], depth[allowed]
+    if len(flat) == 0:
+        return None
+    order = np.lexsort((depth, flat))
+    unique, first = np.unique(flat[order], return_index=True)
+    return LidarDepths(from_numpy(unique), from_numpy(depth[order][first].astype(np.float32)))

@@ -1,0 +1,113 @@
+"""The vehicle while it is learnt: body and shadow, each kept in its place, and the poses of its box."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dwgs.optimize import PoseParameters, Rates, SplatParameters
+from dwgs.scene import Gaussians
+from dwgs.splat import Splats
+
+BODY_MARGIN = 0.15
+"""How far a body Gaussian's centre may leave the box [m]: mirrors, antennas, annotation."""
+SHADOW_HEIGHT = (-0.05, 0.12)
+"""Between which heights above the ground [m] a shadow Gaussian's centre stays."""
+MAX_SCALE = 0.5
+"""No standard deviation of a Gaussian exceeds this [m]."""
+CUT = 1 / 255
+"""A Gaussian of lower opacity is never drawn."""
+
+MAX_ROTATION = 0.05
+"""How far a box may be turned about each axis [rad]."""
+MAX_TRANSLATION = 0.2
+"""How far a box may be shifted along each axis [m]."""
+ROTATION_RATE = 2e-3
+"""Step size of a box's rotation [rad]."""
+TRANSLATION_RATE = 8e-3
+"""Step size of a box's position [m]."""
+
+
+class Part:
+    """Gaussians whose centres cannot leave ``bounds`` [2, 3] (lowest, highest corner) [m] of the vehicle.
+
+    The layers of the background hold only while they stay there.
+    """
+
+    def __init__(self, gaussians: Gaussians, rates: Rates, bounds: NDArray[np.float64]) -> None:
+        self.bounds = bounds
+        self._low, self._high = (torch.from_numpy(corner.astype(np.float32)) for corner in bounds)
+        self._parameters = SplatParameters(gaussians, rates)
+        self._average: Tensor | None = None
+        self._averaged = 0
+
+    def __len__(self) -> int:
+        return len(self._parameters)
+
+    def splats(self) -> Splats:
+        """The activated Gaussians, differentiable."""
+        splats = self._parameters.splats()
+        means = torch.minimum(torch.maximum(splats.means, self._low), self._high)
+        return replace(splats, means=means, scales=splats.scales.clamp_max(MAX_SCALE))
+
+    def step(self, factor: float, is_averaged: bool) -> None:
+        """One step of Adam, rates times ``factor``; ``is_averaged`` adds it to the mean of `finish`."""
+        self._parameters.step(factor)
+        if is_averaged:
+            flat = self._parameters.flat()
+            self._averaged += 1
+            self._average = flat if self._average is None else self._average.lerp_(flat, 1 / self._averaged)
+
+    def finish(self) -> Gaussians:
+        """The mean over the averaged steps, without what is too faint ever to be drawn."""
+        if self._average is not None:
+            self._parameters.load_flat(self._average)
+        with torch.no_grad():
+            gaussians = self.splats().to_gaussians()
+        return gaussians[gaussians.opacities >= CUT]
+
+
+def body_bounds(size: NDArray) -> NDArray[np.float64]:
+    """[2, 3] where a body may lie: the box, grown sideways and up, hardly into the ground."""
+    half = np.asarray(size, np.float64) / 2
+    return np.array([-half - (BODY_MARGIN, BODY_MARGIN, 0.02), half + BODY_MARGIN])
+
+
+def shadow_bounds(size: NDArray, shadow: Gaussians) -> NDArray[np.float64]:
+    """[2, 3] where a shadow may lie: a slab over the ground as wide as where it begins."""
+    ground = -float(size[2]) / 2
+    if len(shadow) == 0:
+        return np.array([[0, 0, ground], [0, 0, ground]])
+    low, high = shadow.means[:, :2].min(0) - 0.1, shadow.means[:, :2].max(0) + 0.1
+    return np.array([[*low, ground + SHADOW_HEIGHT[0]], [*high, ground + SHADOW_HEIGHT[1]]], np.float64)
+
+
+class BoxPoses:
+    """Corrections of annotated boxes, one per frame; a held-out frame takes its neighbours' in time."""
+
+    def __init__(self, count: int) -> None:
+        self._parameters = PoseParameters(count, ROTATION_RATE, TRANSLATION_RATE)
+
+    def old_from_new(self, i: int) -> Tensor:
+        """[4, 4] differentiable: ``world_from_new = world_from_old @ old_from_new``."""
+        return self._parameters.matrix(i)
+
+    def step(self, factor: float) -> None:
+        """One step of Adam; no correction grows beyond what the layers of the background allow for."""
+        self._parameters.step(factor)
+        with torch.no_grad():
+            self._parameters.rotations.clamp_(-MAX_ROTATION, MAX_ROTATION)
+            self._parameters.translations.clamp_(-MAX_TRANSLATION, MAX_TRANSLATION)
+
+    def interpolate(self, times: Sequence[float], is_known: Sequence[bool]) -> None:
+        """Fill in the poses at ``times`` [s] that are not known, linearly between those that are."""
+        times, is_known = np.asarray(times), np.asarray(is_known)
+        known = np.flatnonzero(is_known)[np.argsort(times[is_known])]
+        with torch.no_grad():
+            for values in (self._parameters.rotations, self._parameters.translations):
+                for axis in range(3):
+                    filled = np.interp(times[~is_known], times[known], values[known, axis].numpy())
+                    values[~is_known, axis] = torch.from_numpy(filled.astype(np.float32))

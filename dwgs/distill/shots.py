@@ -1,0 +1,147 @@
+"""What each frame brings to the fit: its pixels, its region, and the frozen background around the vehicle."""
+
+from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dwgs.distill.config import Recipe
+from dwgs.distill.layers import FrozenBackground, FrozenView, depth_interval
+from dwgs.distill.lidar import LidarDepths, carried_depths, static_depths
+from dwgs.distill.region import Region, find_region, visible_fraction
+from dwgs.optimize import Preparing
+from dwgs.scene import Camera, Frame, InputError, Insertion, Scene
+from dwgs.splat import View
+
+HOLD_OUT_EVERY, HOLD_OUT_AT = 8, 4
+"""Frame 4, 12, 20, ... of each camera's clip is never learnt from."""
+POSE_SLACK = 0.6
+"""Room [m] in the depth interval where boxes are refined."""
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A frame that shows the vehicle."""
+
+    frame: Frame
+    """Pixels and recorded pose."""
+    camera: Camera
+    """Through which the vehicle is seen: the generator's, or the refined one of a recorded frame."""
+    background_camera: Camera
+    """Through which the background is seen: as it was fitted."""
+    world_from_vehicle: NDArray[np.float64]
+    """[4, 4]."""
+    region: Region
+    """Which pixels count."""
+    held_out: bool
+    """Whether it is for scoring alone."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A sight ready for the loop: everything in tensors, cut to the region's window."""
+
+    sight: Sight
+    view: View
+    """From the vehicle's frame into the window."""
+    frozen: FrozenView
+    """The background there."""
+    target: Tensor
+    """[h, w, 3] in [0, 1]."""
+    weight: Tensor
+    """[h, w] 1 where supervised, else 0."""
+    lidar: LidarDepths | None
+    """Depths to agree with."""
+
+    def view_at(self, old_from_new: Tensor) -> View:
+        """The view of the vehicle once its pose is corrected."""
+        return replace(self.view, viewmat=self.view.viewmat @ old_from_new)
+
+
+def find_sights(
+    scene: Scene, background: FrozenBackground, insertion: Insertion, recipe: Recipe
+) -> list[Sight]:
+    """The frames that show the vehicle, camera by camera, in order of time.
+
+    Raises `InputError` where no frame does.
+    """
+    sights = []
+    for frames in scene.frames.values():
+        for position, frame in enumerate(frames):
+            held_out = position % HOLD_OUT_EVERY == HOLD_OUT_AT
+            sight = _sight(frame, held_out, scene, background, insertion, recipe)
+            if sight is not None:
+                sights.append(sight)
+    if not sights:
+        raise InputError(
+            f"no frame of '{scene.name}' shows the vehicle: it is behind the cameras, outside their images, "
+            "or out of the frames' time; check the trajectory and the choice of cameras and frames"
+        )
+    if all(sight.held_out for sight in sights):
+        sights = [replace(sight, held_out=False) for sight in sights]
+    return sights
+
+
+def _sight(frame, held_out, scene, background, insertion, recipe) -> Sight | None:
+    is_generated = frame.load_reactive_mask is not None
+    time = frame.camera.time
+    if is_generated:
+        insertion.trajectory.require(time)
+    elif not insertion.trajectory.covers(time):
+        return None
+    world_from_vehicle = insertion.trajectory.at(time)
+    refined = background.camera(frame)
+    camera = frame.camera if is_generated else refined
+    if not visible_fraction(camera, world_from_vehicle, insertion) > recipe.visible:
+        return None
+    region = find_region(frame, camera, world_from_vehicle, insertion, scene.tracks)
+    if region is None:
+        return None
+    return Sight(frame, camera, refined, world_from_vehicle, region, held_out)
+
+
+def prepare_shots(
+    sights: list[Sight],
+    scene: Scene,
+    background: FrozenBackground,
+    insertion: Insertion,
+    bounds: NDArray[np.float64],
+    threads: int,
+) -> Generator[Preparing, None, list[Shot]]:
+    """Load the pixels of every sight and split its background about ``bounds`` [2, 3] of the vehicle."""
+    sweeps = {sweep.frame_index: sweep for sweep in scene.sweeps}
+
+    def prepare(sight: Sight) -> Shot:
+        region, window = sight.region, sight.region.window
+        view = View.from_camera(window.camera(sight.camera), sight.world_from_vehicle)
+        is_generated = sight.frame.load_reactive_mask is not None
+        interval = depth_interval(
+            sight.camera.camera_from_world @ sight.world_from_vehicle,
+            bounds,
+            0.0 if is_generated else POSE_SLACK,
+        )
+        background_camera = window.camera(sight.background_camera)
+        sweep, lidar = sweeps.get(sight.frame.index), None
+        if sweep is not None and is_generated:
+            lidar = static_depths(sweep, sight.background_camera, region)
+        elif sweep is not None:
+            lidar = carried_depths(sweep, sight.camera, sight.world_from_vehicle, insertion, region)
+        return Shot(
+            sight,
+            view,
+            background.freeze(background_camera, sight.frame.camera_name, interval),
+            torch.from_numpy(window.of(sight.frame.pixels).astype(np.float32) / 255),
+            torch.from_numpy(region.supervised.astype(np.float32)),
+            lidar,
+        )
+
+    shots: list[Shot] = []
+    with ThreadPoolExecutor(threads) as pool:
+        for shot in pool.map(prepare, sights):
+            shots.append(shot)
+            yield Preparing("background layers", len(shots), len(sights))
+    return shots
