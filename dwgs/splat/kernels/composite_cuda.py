@@ -1,0 +1,5 @@
+"""CUDA scheme (to come)."""
+
+import warp as wp
+
+WARPS_PER_TILE = 8

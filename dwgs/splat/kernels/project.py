@@ -1,0 +1,285 @@
+"""Gaussians to image records: EWA splatting (Zwicker et al. 2001) as in 3DGS, forward and adjoint.
+
+Forward and adjoint share `footprint`, so both see the same numbers. Guards are phrased positively: NaN fails them.
+"""
+
+import warp as wp
+
+from dwgs.splat import constants
+from dwgs.splat.kernels.sh import sh_basis, sh_basis_adjoint, vec16
+
+wp.set_module_options({"enable_backward": False})
+
+LOW_PASS = wp.constant(constants.LOW_PASS)
+MIN_ALPHA = wp.constant(constants.MIN_ALPHA)
+NEAR = wp.constant(constants.NEAR)
+MAX_TANGENT = wp.constant(constants.MAX_TANGENT)
+
+record12 = wp.types.vector(length=12, dtype=float)
+"""See `dwgs.splat.Projected.records`."""
+mat23 = wp.types.matrix(shape=(2, 3), dtype=float)
+
+
+@wp.struct
+class Cloud:
+    """The Gaussians, see `dwgs.splat.Splats`."""
+
+    means: wp.array(dtype=wp.vec3)
+    quats: wp.array(dtype=wp.vec4)
+    scales: wp.array(dtype=wp.vec3)
+    opacities: wp.array(dtype=float)
+    sh: wp.array2d(dtype=wp.vec3)
+
+
+@wp.struct
+class Lens:
+    """The camera: ``viewmat`` holds one camera_from_splats, read on the device; intrinsics are fx, fy, cx, cy [px]."""
+
+    viewmat: wp.array(dtype=wp.mat44)
+    intrinsics: wp.vec4
+    width: float
+    height: float
+
+
+@wp.func
+def rotation_of(viewmat: wp.mat44) -> wp.mat33:
+    """Upper left 3x3."""
+    return wp.mat33(
+        viewmat[0, 0], viewmat[0, 1], viewmat[0, 2],
+        viewmat[1, 0], viewmat[1, 1], viewmat[1, 2],
+        viewmat[2, 0], viewmat[2, 1], viewmat[2, 2],
+    )  # fmt: skip
+
+
+@wp.func
+def translation_of(viewmat: wp.mat44) -> wp.vec3:
+    """Last column."""
+    return wp.vec3(viewmat[0, 3], viewmat[1, 3], viewmat[2, 3])
+
+
+@wp.func
+def rotation_from_quat(q: wp.vec4) -> wp.mat33:
+    """Rotation of a unit wxyz quaternion."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return wp.mat33(
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
+    )  # fmt: skip
+
+
+@wp.func
+def rotation_from_quat_adjoint(q: wp.vec4, v: wp.mat33) -> wp.vec4:
+    """Gradient by the unit quaternion."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return 2.0 * wp.vec4(
+        x * (v[2, 1] - v[1, 2]) + y * (v[0, 2] - v[2, 0]) + z * (v[1, 0] - v[0, 1]),
+        w * (v[2, 1] - v[1, 2])
+        + y * (v[0, 1] + v[1, 0])
+        + z * (v[0, 2] + v[2, 0])
+        - 2.0 * x * (v[1, 1] + v[2, 2]),
+        w * (v[0, 2] - v[2, 0])
+        + x * (v[0, 1] + v[1, 0])
+        + z * (v[1, 2] + v[2, 1])
+        - 2.0 * y * (v[0, 0] + v[2, 2]),
+        w * (v[1, 0] - v[0, 1])
+        + x * (v[0, 2] + v[2, 0])
+        + y * (v[1, 2] + v[2, 1])
+        - 2.0 * z * (v[0, 0] + v[1, 1]),
+    )
+
+
+@wp.func
+def clamp_tangent(t: float) -> float:
+    """Where the affine approximation of a tangent ``t`` is taken."""
+    return wp.clamp(t, -MAX_TANGENT, MAX_TANGENT)
+
+
+@wp.func
+def jacobian(p: wp.vec3, fx: float, fy: float) -> mat23:
+    """Derivative of the pixel by the camera point ``p``, tangents clamped."""
+    rz = 1.0 / p[2]
+    return mat23(
+        fx * rz, 0.0, -fx * rz * clamp_tangent(p[0] * rz),
+        0.0, fy * rz, -fy * rz * clamp_tangent(p[1] * rz),
+    )  # fmt: skip
+
+
+@wp.func
+def covariance_of(m: mat23) -> wp.vec3:
+    """(xx, xy, yy) of m m^T + low-pass [px^2]."""
+    a = m[0]
+    b = m[1]
+    return wp.vec3(wp.dot(a, a) + LOW_PASS, wp.dot(a, b), wp.dot(b, b) + LOW_PASS)
+
+
+@wp.func
+def determinant_of(m: mat23) -> float:
+    """det(m m^T + low-pass) by Cauchy-Binet: a sum of squares, so that needles do not cancel to noise."""
+    a = m[0]
+    b = m[1]
+    minors = wp.cross(a, b)
+    return wp.dot(minors, minors) + LOW_PASS * (wp.dot(a, a) + wp.dot(b, b)) + LOW_PASS * LOW_PASS
+
+
+@wp.kernel
+def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record12)):
+    """One record per Gaussian; radii stay zero where it is behind, outside, too faint or not finite."""
+    i = first + wp.tid()
+    viewmat = lens.viewmat[0]
+    R = rotation_of(viewmat)
+    t = translation_of(viewmat)
+    fx, fy, cx, cy = lens.intrinsics[0], lens.intrinsics[1], lens.intrinsics[2], lens.intrinsics[3]
+
+    mean = cloud.means[i]
+    p = R @ mean + t
+    opacity = cloud.opacities[i]
+    quat = cloud.quats[i]
+    squared = wp.dot(quat, quat)
+    record = record12()
+    if wp.isfinite(p[2]):
+        record[9] = p[2]
+    if p[2] > NEAR and opacity > MIN_ALPHA and squared > 0.0:
+        x = fx * p[0] / p[2] + cx
+        y = fy * p[1] / p[2] + cy
+        m = jacobian(p, fx, fy) @ R @ rotation_from_quat(quat / wp.sqrt(squared)) @ wp.diag(cloud.scales[i])
+        covariance = covariance_of(m)
+        reach = 2.0 * wp.log(opacity / MIN_ALPHA)
+        extent_x = wp.sqrt(reach * covariance[0])
+        extent_y = wp.sqrt(reach * covariance[2])
+        inside = x + extent_x > 0.0 and x - extent_x < lens.width
+        inside = inside and y + extent_y > 0.0 and y - extent_y < lens.height
+        if inside:
+            count = cloud.sh.shape[1]
+            direction = wp.vec3()
+            if count > 1:
+                direction = wp.normalize(mean + wp.transpose(R) @ t)
+            basis = sh_basis(direction, count)
+            color = wp.vec3(0.5, 0.5, 0.5)
+            for k in range(count):
+                color += basis[k] * cloud.sh[i, k]
+            conic = wp.vec3(covariance[2], -covariance[1], covariance[0]) / determinant_of(m)
+            total = (
+                x + y + extent_x + extent_y + conic[0] + conic[1] + conic[2] + color[0] + color[1] + color[2]
+            )
+            if wp.isfinite(total):
+                record = record12(
+                    x, y, conic[0], conic[1], conic[2], opacity,
+                    wp.max(color[0], 0.0), wp.max(color[1], 0.0), wp.max(color[2], 0.0),
+                    p[2], extent_x, extent_y,
+                )  # fmt: skip
+    records[i] = record
+
+
+@wp.kernel
+def project_adjoint(
+    first: int,
+    cloud: Cloud,
+    lens: Lens,
+    records: wp.array(dtype=record12),
+    v_records: wp.array(dtype=record12),
+    chunk: int,
+    # outputs
+    v_cloud: Cloud,
+    v_viewmats: wp.array(dtype=wp.mat44),
+):
+    """Gradients of ``chunk`` Gaussians per task; each task sums its own share of the camera's gradient."""
+    task = first + wp.tid()
+    viewmat = lens.viewmat[0]
+    R = rotation_of(viewmat)
+    Rt = wp.transpose(R)
+    t = translation_of(viewmat)
+    fx = lens.intrinsics[0]
+    fy = lens.intrinsics[1]
+    count = cloud.sh.shape[1]
+    v_R = wp.mat33()
+    v_t = wp.vec3()
+    v_position = wp.vec3()
+    for i in range(task * chunk, wp.min((task + 1) * chunk, cloud.means.shape[0])):
+        record = records[i]
+        if record[10] > 0.0:
+            v = v_records[i]
+            mean = cloud.means[i]
+            p = R @ mean + t
+            rz = 1.0 / p[2]
+
+            # colour
+            v_color = wp.vec3(v[6], v[7], v[8])
+            for channel in range(3):
+                if record[6 + channel] <= 0.0:
+                    v_color[channel] = 0.0
+            direction = wp.vec3()
+            distance = float(1.0)
+            if count > 1:
+                ray = mean + Rt @ t
+                distance = wp.length(ray)
+                direction = ray / distance
+            basis = sh_basis(direction, count)
+            v_basis = vec16()
+            for k in range(count):
+                v_cloud.sh[i, k] = basis[k] * v_color
+                v_basis[k] = wp.dot(cloud.sh[i, k], v_color)
+            v_direction = sh_basis_adjoint(direction, v_basis, count)
+            v_ray = (v_direction - direction * wp.dot(direction, v_direction)) / distance
+            v_position -= v_ray
+
+            # conic -> covariance -> m
+            quat = cloud.quats[i]
+            norm = wp.length(quat)
+            unit = quat / norm
+            Rq = rotation_from_quat(unit)
+            scale = cloud.scales[i]
+            J = jacobian(p, fx, fy)
+            JR = J @ R
+            P = JR @ Rq
+            Q = wp.mat22(record[2], record[3], record[3], record[4])
+            v_Q = wp.mat22(v[2], 0.5 * v[3], 0.5 * v[3], v[4])
+            v_covariance = -1.0 * (Q @ v_Q @ Q)
+            v_P = 2.0 * (v_covariance @ P @ wp.diag(wp.cw_mul(scale, scale)))
+            v_m = 2.0 * (v_covariance @ P @ wp.diag(scale))
+            v_scale = wp.vec3()
+            for axis in range(3):
+                v_scale[axis] = v_m[0, axis] * P[0, axis] + v_m[1, axis] * P[1, axis]
+            v_unit = rotation_from_quat_adjoint(unit, wp.transpose(JR) @ v_P)
+            v_JR = v_P @ wp.transpose(Rq)
+            v_J = v_JR @ Rt
+            v_R += wp.transpose(J) @ v_JR
+
+            # centre
+            u = p[0] * rz
+            w = p[1] * rz
+            v_u = fx * (v[0])
+            v_w = fy * (v[1])
+            if wp.abs(u) < MAX_TANGENT:
+                v_u -= fx * rz * v_J[0, 2]
+            if wp.abs(w) < MAX_TANGENT:
+                v_w -= fy * rz * v_J[1, 2]
+            v_rz = fx * (v_J[0, 0] - clamp_tangent(u) * v_J[0, 2]) + fy * (
+                v_J[1, 1] - clamp_tangent(w) * v_J[1, 2]
+            )
+            v_z = v[9] - rz * (v_u * u + v_w * w + rz * v_rz)
+            v_p = wp.vec3(v_u * rz, v_w * rz, v_z)
+            v_t += v_p
+            v_R += wp.outer(v_p, mean)
+
+            v_cloud.means[i] = Rt @ v_p + v_ray
+            v_cloud.quats[i] = (v_unit - unit * wp.dot(unit, v_unit)) / norm
+            v_cloud.scales[i] = v_scale
+            v_cloud.opacities[i] = v[5]
+        else:
+            v_cloud.means[i] = wp.vec3()
+            v_cloud.quats[i] = wp.vec4()
+            v_cloud.scales[i] = wp.vec3()
+            v_cloud.opacities[i] = 0.0
+            for k in range(count):
+                v_cloud.sh[i, k] = wp.vec3()
+
+    # the camera stands at -R^T t
+    v_t -= R @ v_position
+    v_R -= wp.outer(t, v_position)
+    v_viewmats[task] = wp.mat44(
+        v_R[0, 0], v_R[0, 1], v_R[0, 2], v_t[0],
+        v_R[1, 0], v_R[1, 1], v_R[1, 2], v_t[1],
+        v_R[2, 0], v_R[2, 1], v_R[2, 2], v_t[2],
+        0.0, 0.0, 0.0, 0.0,
+    )  # fmt: skip

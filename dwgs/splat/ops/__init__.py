@@ -1,0 +1,1 @@
+"""Torch faces of the kernels, same file names."""

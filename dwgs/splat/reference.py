@@ -1,0 +1,140 @@
+"""The specification: the same image in plain torch, dense, float64, differentiated by autograd.
+
+Every Gaussian meets every pixel, so memory grows with N x H x W. Nothing here is shared with the kernels but the rules.
+"""
+
+from dataclasses import fields
+
+import torch
+from torch import Tensor
+
+from dwgs.splat.constants import (
+    LOW_PASS,
+    MAX_ALPHA,
+    MAX_TANGENT,
+    MIN_ALPHA,
+    NEAR,
+    SH_C0,
+    SH_C1,
+    SH_C2,
+    SH_C3,
+    STOP_TRANSMITTANCE,
+)
+from dwgs.splat.splats import Layers, Rendering, Splats, View
+
+
+def render(splats: Splats, view: View, layers: Layers | None = None) -> Rendering:
+    """What `dwgs.splat.render` approximates; tensors of any float type in, float64 out."""
+    alphas, colors = _alphas_and_colors(splats, view)
+    start = layers.front_transmittance.double() if layers else torch.ones_like(alphas[0])
+    before, end = _transmittances(alphas, start)
+    weights = before * alphas * (before >= STOP_TRANSMITTANCE)
+    image = torch.einsum("nhw,nc->hwc", weights, colors)
+    rgb, depth, alpha = image[..., :3], image[..., 3], 1 - end
+    if layers:
+        rgb = layers.front_rgb + rgb + end[..., None] * layers.back_rgb
+        depth = layers.front_depth + depth + end * layers.back_depth
+        alpha = 1 - end * (1 - layers.back_alpha)
+    return Rendering(rgb, depth, alpha)
+
+
+def borderline(splats: Splats, view: View, layers: Layers | None = None, margin: float = 1e-3) -> Tensor:
+    """[H, W] whether a Gaussian comes within a relative ``margin`` of a rule that switches: cut, clamp or stop.
+
+    There the image or its gradient jumps, and float32 may fall on the other side.
+    """
+    alphas, _ = _alphas_and_colors(splats, view, is_cut=False)
+    start = layers.front_transmittance.double() if layers else torch.ones_like(alphas[0])
+    before, _ = _transmittances(alphas * (alphas >= MIN_ALPHA), start)
+    near_rule = [(alphas / MIN_ALPHA - 1).abs() < margin, (before / STOP_TRANSMITTANCE - 1).abs() < margin]
+    unclamped = alphas >= MAX_ALPHA * (1 - margin)
+    return (near_rule[0] | near_rule[1] | unclamped).any(0)
+
+
+def _transmittances(alphas: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
+    """Transmittance before each Gaussian [N, H, W], and behind the last one drawn [H, W]."""
+    before, light = [], start
+    for alpha in alphas:
+        before.append(light)
+        light = torch.where(light >= STOP_TRANSMITTANCE, light * (1 - alpha), light)
+    return torch.stack(before) if before else alphas, light
+
+
+def _alphas_and_colors(splats: Splats, view: View, is_cut: bool = True) -> tuple[Tensor, Tensor]:
+    """Alphas [N, H, W] and (r, g, b, z) [N, 4] of drawable Gaussians, nearest first."""
+    means, quats, scales, opacities, sh = (getattr(splats, f.name).double() for f in fields(splats))
+    viewmat = view.viewmat.double()
+    R, t = viewmat[:3, :3], viewmat[:3, 3]
+    finite = torch.stack(
+        [x.flatten(1).isfinite().all(1) for x in (means, quats, scales, opacities[:, None], sh)]
+    )
+    drawn = finite.all(0) & ((means @ R.T + t)[:, 2] > NEAR) & (opacities > MIN_ALPHA)
+    means, quats, scales, opacities, sh = (x[drawn] for x in (means, quats, scales, opacities, sh))
+    points = means @ R.T + t
+    order = points[:, 2].argsort(stable=True)
+    means, quats, scales, opacities, sh, points = (
+        x[order] for x in (means, quats, scales, opacities, sh, points)
+    )
+
+    fx, fy, cx, cy = view.intrinsics
+    x, y, z = points.unbind(1)
+    zero = torch.zeros_like(z)
+    u, v = (x / z).clamp(-MAX_TANGENT, MAX_TANGENT), (y / z).clamp(-MAX_TANGENT, MAX_TANGENT)
+    J = torch.stack([fx / z, zero, -fx * u / z, zero, fy / z, -fy * v / z], 1).view(-1, 2, 3)
+    M = J @ R @ _rotation(quats) * scales[:, None]
+    covariances = M @ M.mT + LOW_PASS * torch.eye(2, dtype=M.dtype)
+    means2d = torch.stack([fx * x / z + cx, fy * y / z + cy], 1)
+
+    rows = torch.arange(view.height, dtype=M.dtype) + 0.5
+    columns = torch.arange(view.width, dtype=M.dtype) + 0.5
+    pixels = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1)
+    offsets = pixels - means2d[:, None, None]
+    conics = covariances.inverse()
+    powers = -0.5 * torch.einsum("nhwi,nij,nhwj->nhw", offsets, conics, offsets)
+    alphas = (opacities[:, None, None] * powers.exp()).clamp_max(MAX_ALPHA)
+    if is_cut:
+        alphas = alphas * (alphas >= MIN_ALPHA)
+
+    rays = means + R.T @ t
+    directions = rays / rays.norm(dim=1, keepdim=True)
+    basis = _sh_basis(directions)[:, : sh.shape[1]]
+    colors = (0.5 + torch.einsum("nk,nkc->nc", basis, sh)).clamp_min(0)
+    return alphas, torch.cat([colors, z[:, None]], 1)
+
+
+def _rotation(quats: Tensor) -> Tensor:
+    """[N, 3, 3] from wxyz [N, 4] of any length."""
+    w, x, y, z = (quats / quats.norm(dim=1, keepdim=True)).unbind(1)
+    rows = [
+        torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], 1),
+        torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], 1),
+        torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1),
+    ]
+    return torch.stack(rows, 1)
+
+
+def _sh_basis(directions: Tensor) -> Tensor:
+    """[N, 16] real spherical harmonics of unit directions [N, 3]."""
+    x, y, z = directions.unbind(1)
+    xx, yy, zz = x * x, y * y, z * z
+    a, b, c = SH_C2
+    d, e, f, g, h = SH_C3
+    basis = [
+        torch.full_like(x, SH_C0),
+        -SH_C1 * y,
+        SH_C1 * z,
+        -SH_C1 * x,
+        a * x * y,
+        -a * y * z,
+        b * (2 * zz - xx - yy),
+        -a * x * z,
+        c * (xx - yy),
+        -d * y * (3 * xx - yy),
+        e * x * y * z,
+        -f * y * (4 * zz - xx - yy),
+        g * z * (2 * zz - 3 * xx - 3 * yy),
+        -f * x * (4 * zz - xx - yy),
+        h * z * (xx - yy),
+        -d * x * (xx - 3 * yy),
+    ]
+    return torch.stack(basis, 1)

@@ -1,0 +1,194 @@
+"""What the splatter takes and gives: clouds, views, layers, records, images."""
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dwgs.scene import Camera, Gaussians, InputError
+from dwgs.scene.gaussians import SH_COUNTS
+from dwgs.splat.constants import TILE
+
+
+@dataclass(frozen=True, eq=False)
+class Splats:
+    """A cloud of Gaussians as tensors, activated; any of them may require a gradient."""
+
+    means: Tensor
+    """[N, 3] [m]."""
+    quats: Tensor
+    """[N, 4] wxyz, of any length but zero."""
+    scales: Tensor
+    """[N, 3] standard deviations [m]."""
+    opacities: Tensor
+    """[N] in [0, 1]."""
+    sh: Tensor
+    """[N, K, 3] spherical harmonics, DC first, K of 1, 4, 9, 16, in this cloud's own frame."""
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        shapes = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise InputError(f"Splats.{name} has shape {shape}, got {tuple(getattr(self, name).shape)}")
+        if (
+            self.sh.ndim != 3
+            or len(self.sh) != n
+            or self.sh.shape[1] not in SH_COUNTS
+            or self.sh.shape[2] != 3
+        ):
+            raise InputError(f"Splats.sh has shape ({n}, 1|4|9|16, 3), got {tuple(self.sh.shape)}")
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @staticmethod
+    def from_gaussians(gaussians: Gaussians, device: torch.device | str = "cpu") -> "Splats":
+        """Copies of the arrays, on ``device``."""
+        return Splats(*(torch.tensor(getattr(gaussians, f.name), device=device) for f in fields(Splats)))
+
+    def to_gaussians(self) -> Gaussians:
+        """Detached copies, quaternions normalised."""
+        arrays = {f.name: getattr(self, f.name).detach().cpu().float().numpy().copy() for f in fields(self)}
+        arrays["quats"] /= np.linalg.norm(arrays["quats"], axis=1, keepdims=True)
+        return Gaussians(**arrays)
+
+    @staticmethod
+    def cat(clouds: "list[Splats]") -> "Splats":
+        """One cloud of several in the same frame; lower SH degrees are padded with zeros."""
+        count = max(c.sh.shape[1] for c in clouds)
+        sh = torch.cat([torch.nn.functional.pad(c.sh, (0, 0, 0, count - c.sh.shape[1])) for c in clouds])
+        names = ("means", "quats", "scales", "opacities")
+        return Splats(*(torch.cat([getattr(c, name) for c in clouds]) for name in names), sh)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A pinhole camera as a cloud of Gaussians meets it."""
+
+    viewmat: Tensor
+    """[4, 4] ``camera_from_splats``; may require a gradient."""
+    intrinsics: tuple[float, float, float, float]
+    """fx, fy, cx, cy [px]; pixel centres at +0.5."""
+    width: int
+    """[px]."""
+    height: int
+    """[px]."""
+
+    @staticmethod
+    def from_camera(
+        camera: Camera, world_from_splats: NDArray | None = None, device: torch.device | str = "cpu"
+    ) -> "View":
+        """The view of ``camera`` on a cloud whose frame stands in the world at ``world_from_splats`` [4, 4]."""
+        viewmat = camera.camera_from_world
+        if world_from_splats is not None:
+            viewmat = viewmat @ world_from_splats
+        K = camera.K
+        intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
+        tensor = torch.tensor(viewmat, dtype=torch.float32, device=device)
+        return View(tensor, intrinsics, camera.width, camera.height)
+
+    @property
+    def tiles(self) -> tuple[int, int]:
+        """Tiles across and down."""
+        return -(-self.width // TILE), -(-self.height // TILE)
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """A frozen scene cut in two by centre depth: what lies before, and what lies behind, the Gaussians to come."""
+
+    front_rgb: Tensor
+    """[H, W, 3] premultiplied."""
+    front_depth: Tensor
+    """[H, W] premultiplied [m]."""
+    front_transmittance: Tensor
+    """[H, W]."""
+    back_rgb: Tensor
+    """[H, W, 3], over whatever ends the world; premultiplied where nothing does."""
+    back_depth: Tensor
+    """[H, W] premultiplied [m]."""
+    back_alpha: Tensor
+    """[H, W]."""
+
+    @cached_property
+    def front(self) -> Tensor:
+        """[5, H', W'] r, g, b, depth, transmittance, whole tiles; transmittance 0 outside the image."""
+        return planes(self.front_rgb, self.front_depth, self.front_transmittance)
+
+    @cached_property
+    def back(self) -> Tensor:
+        """[5, H', W'] r, g, b, depth, alpha, whole tiles."""
+        return planes(self.back_rgb, self.back_depth, self.back_alpha)
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """Gaussians as one image sees them, one record each; not drawn where the radii are zero."""
+
+    records: Tensor
+    """[N, 12]: mean x, y [px]; conic xx, xy, yy [px^-2]; opacity; r, g, b; centre depth z [m]; extent x, y [px].
+
+    Gradients flow through the first ten; the extent reaches exactly to alpha = 1/255.
+    """
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __getitem__(self, index) -> "Projected":
+        """The records that a mask or index over [N] selects."""
+        return Projected(self.records[index])
+
+    def detach(self) -> "Projected":
+        """The same records without a gradient."""
+        return Projected(self.records.detach())
+
+    @property
+    def means2d(self) -> Tensor:
+        """[N, 2] centres [px]."""
+        return self.records[:, 0:2]
+
+    @property
+    def depths(self) -> Tensor:
+        """[N] centre depths z [m], of Gaussians that are not drawn too (0 where not finite)."""
+        return self.records[:, 9]
+
+    @property
+    def radii(self) -> Tensor:
+        """[N, 2] half extents [px]; zero: not drawn."""
+        return self.records[:, 10:12]
+
+    @property
+    def visible(self) -> Tensor:
+        """[N] whether drawn."""
+        return self.records[:, 10] > 0
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """An image of Gaussians."""
+
+    rgb: Tensor
+    """[H, W, 3], premultiplied: over black, or over ``Layers.back_rgb``."""
+    depth: Tensor
+    """[H, W] sum of weight times centre depth [m]."""
+    alpha: Tensor
+    """[H, W] sum of weights."""
+
+    @property
+    def expected_depth(self) -> Tensor:
+        """[H, W] mean centre depth [m] of what the pixel sees."""
+        return self.depth / self.alpha.clamp_min(1e-10)
+
+
+def planes(rgb: Tensor, depth: Tensor, last: Tensor) -> Tensor:
+    """[5, H', W'] contiguous float32 from [H, W, 3], [H, W], [H, W]: whole tiles, zeros outside the image."""
+    height, width = depth.shape
+    out = torch.zeros(5, -(-height // TILE) * TILE, -(-width // TILE) * TILE, device=rgb.device)
+    out[:3, :height, :width] = rgb.permute(2, 0, 1)
+    out[3, :height, :width] = depth
+    out[4, :height, :width] = last
+    return out
