@@ -1,0 +1,100 @@
+import json
+
+import numpy as np
+import pytest
+
+from dwgs.formats import asset_folder
+from dwgs.scene import Gaussians, InputError, VehicleAsset
+
+
+def cloud(n: int, seed: int) -> Gaussians:
+    rng = np.random.default_rng(seed)
+    quats = rng.normal(size=(n, 4))
+    return Gaussians(
+        rng.normal(size=(n, 3)).astype(np.float32),
+        (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32),
+        rng.uniform(0.01, 0.1, (n, 3)).astype(np.float32),
+        rng.uniform(size=n).astype(np.float32),
+        rng.normal(size=(n, 4, 3)).astype(np.float32),
+    )
+
+
+@pytest.fixture
+def asset() -> VehicleAsset:
+    provenance, quality = {"scene": "street", "seed": 3}, {"psnr": 39.7, "azimuths": [0.1, 2.0]}
+    return VehicleAsset(cloud(9, 0), cloud(4, 1), np.array([4.4, 1.85, 1.5]), "van", provenance, quality)
+
+
+def test_an_asset_comes_back(tmp_path, asset):
+    asset_folder.write(asset, tmp_path / "asset")
+    assert sorted(p.name for p in (tmp_path / "asset").iterdir()) == [
+        "asset.json",
+        "gaussians.ply",
+        "shadow.ply",
+    ]
+    read = asset_folder.read(tmp_path / "asset")
+    np.testing.assert_array_equal(read.size, asset.size)
+    assert (read.category, read.provenance, read.quality) == ("van", asset.provenance, asset.quality)
+    np.testing.assert_array_equal(read.body.means, asset.body.means)
+    np.testing.assert_array_equal(read.shadow.sh, asset.shadow.sh)
+
+
+def test_an_asset_without_a_shadow_comes_back(tmp_path, asset):
+    bare = VehicleAsset(asset.body, Gaussians.empty(), asset.size)
+    asset_folder.write(bare, tmp_path / "asset")
+    assert len(asset_folder.read(tmp_path / "asset").shadow) == 0
+
+
+def test_writing_again_gives_the_same_bytes(tmp_path, asset):
+    asset_folder.write(asset, tmp_path / "a")
+    asset_folder.write(asset_folder.read(tmp_path / "a"), tmp_path / "b")
+    for file in (tmp_path / "a").iterdir():
+        assert file.read_bytes() == (tmp_path / "b" / file.name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format_version": 2}, r"format_version = 2, this version reads 1"),
+        ({"format": "something"}, r"format = \"something\""),
+        ({"frame": {"axes": "x right, y down, z forward"}}, "frame = "),
+        ({"size": [4, 2]}, "three positive lengths"),
+        ({"size": [4, 2, -1]}, "three positive lengths"),
+        ({"size": "big"}, "another form"),
+        ({"gaussians": {"body": 8, "shadow": 4}}, "mixture"),
+        ({"gaussians": 13}, "another form"),
+        ({"provenance": [1]}, "another form"),
+    ],
+)
+def test_a_document_that_contradicts_is_refused(tmp_path, asset, change, message):
+    asset_folder.write(asset, tmp_path / "asset")
+    path = tmp_path / "asset" / "asset.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(InputError, match=message):
+        asset_folder.read(tmp_path / "asset")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", "[" * 100_000])
+def test_a_document_that_is_no_document_is_refused(tmp_path, asset, text):
+    asset_folder.write(asset, tmp_path / "asset")
+    (tmp_path / "asset" / "asset.json").write_text(text)
+    with pytest.raises(InputError, match=r"asset\.json"):
+        asset_folder.read(tmp_path / "asset")
+
+
+@pytest.mark.parametrize("name", ["asset.json", "gaussians.ply", "shadow.ply"])
+def test_a_missing_file_is_named(tmp_path, asset, name):
+    asset_folder.write(asset, tmp_path / "asset")
+    (tmp_path / "asset" / name).unlink()
+    with pytest.raises(InputError, match=name.replace(".", r"\.")):
+        asset_folder.read(tmp_path / "asset")
+
+
+def test_what_is_no_json_leaves_the_former_asset_in_place(tmp_path, asset):
+    asset_folder.write(asset, tmp_path / "asset")
+    for bad in (float("nan"), object()):
+        broken = VehicleAsset(asset.body, asset.shadow, asset.size, quality={"psnr": bad})
+        with pytest.raises(InputError, match="JSON"):
+            asset_folder.write(broken, tmp_path / "asset")
+    assert asset_folder.read(tmp_path / "asset").quality == asset.quality
+    assert [p.name for p in tmp_path.iterdir()] == ["asset"]
