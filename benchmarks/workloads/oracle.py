@@ -1,0 +1,99 @@
+"""The street's oracle video: what distillation alone loses, and what an asset shows where nobody looked.
+
+The oracle renders the true vehicle with its true light, so nothing here is the generator's fault.
+"""
+
+import time
+from collections.abc import Generator
+
+import numpy as np
+import torch
+from rich.progress import Progress
+
+from benchmarks.metric import Metric
+from dwgs.distill import DistillConfig, distill
+from dwgs.metrics import psnr
+from dwgs.reconstruct import ReconstructConfig, reconstruct
+from dwgs.scene import Camera, VehicleAsset
+from dwgs.splat import Splats, View, render
+from dwgs.street import Street, build_street
+
+ORBIT_VIEWS = 16
+ORBIT_DISTANCE = 9.0
+ORBIT_ELEVATION = np.radians(12.0)
+SEEN = 0.02
+"""A side counts as seen where its sector holds more than this share of all pixels that taught."""
+
+
+def run(frames: int) -> list[Metric]:
+    """Fit background and vehicle of the embedded street; judge held-out frames and unseen orbit views."""
+    street = build_street(frames=frames)
+    insertion = street.insertion()
+    with Progress() as progress:
+        task = progress.add_task("record", total=frames)
+        street.render_all(lambda done, total: progress.update(task, completed=done))
+        background, fit = follow(reconstruct(street.scene(), ReconstructConfig()), progress, "reconstruct")
+        start = time.perf_counter()
+        scene = street.oracle(insertion)
+        asset, report = follow(distill(scene, background, insertion, DistillConfig()), progress, "distill")
+        seconds = time.perf_counter() - start
+    seen, unseen = orbit_psnr(street, asset, np.asarray(report["azimuths"]))
+    return [
+        Metric("oracle.background.psnr_heldout", fit["psnr_heldout"], "dB"),
+        Metric("oracle.distill.psnr_roi_heldout", report["psnr_roi_heldout"], "dB"),
+        Metric("oracle.distill.ssim_roi_heldout", report["ssim_roi_heldout"], ""),
+        Metric("oracle.distill.psnr_roi_train", report["psnr_roi_train"], "dB"),
+        Metric("oracle.distill.gaussians", report["gaussians"], ""),
+        Metric("oracle.distill.fit_seconds", report["seconds"]["fit"], "s"),
+        Metric("oracle.distill.seconds_with_oracle_rendering", seconds, "s"),
+        Metric("oracle.orbit.psnr_seen_sides", seen, "dB"),
+        Metric("oracle.orbit.psnr_unseen_sides", unseen, "dB"),
+    ]
+
+
+def follow(fit: Generator, progress: Progress, title: str):
+    """Run a fit to its end; gives what it returns."""
+    task = progress.add_task(title, total=None)
+    while True:
+        try:
+            event = next(fit)
+        except StopIteration as end:
+            return end.value
+        if hasattr(event, "steps"):
+            progress.update(task, completed=event.step, total=event.steps)
+
+
+def orbit_psnr(street: Street, asset: VehicleAsset, azimuths: np.ndarray) -> tuple[float, float]:
+    """Mean PSNR [dB] over the true vehicle's pixels, from sides that taught and from sides that did not.
+
+    Asset and truth stand alone on grey, lit as in the middle of the clip.
+    """
+    insertion = street.insertion()
+    moment = insertion.trajectory.times[len(insertion.trajectory.times) // 2]
+    world_from_vehicle = insertion.trajectory.at(moment)
+    body = Splats.from_gaussians(asset.body)
+    values: dict[bool, list[float]] = {True: [], False: []}
+    for azimuth in np.arange(ORBIT_VIEWS) * 2 * np.pi / ORBIT_VIEWS:
+        camera = orbit_camera(world_from_vehicle, azimuth, moment)
+        truth = street.vehicle_view(camera, insertion, moment)
+        with torch.no_grad():
+            rendering = render(body, View.from_camera(camera, world_from_vehicle))
+        grey = np.float32(127 / 255)
+        shown = (rendering.rgb + (1 - rendering.alpha[..., None]) * grey).numpy()
+        sector = round(azimuth / (2 * np.pi) * len(azimuths)) % len(azimuths)
+        is_seen = bool(azimuths[sector] > SEEN * azimuths.sum())
+        values[is_seen].append(psnr(shown, truth.rgb / np.float32(255), truth.vehicle_alpha > 0.5))
+    return tuple(float(np.mean(v)) if v else float("nan") for v in (values[True], values[False]))
+
+
+def orbit_camera(world_from_vehicle: np.ndarray, azimuth: float, moment: float) -> Camera:
+    """A camera that looks at the vehicle's centre from that side; azimuth 0 faces its front."""
+    flat = np.cos(ORBIT_ELEVATION)
+    toward = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(ORBIT_ELEVATION)])
+    right = np.cross([0, 0, 1.0], toward)
+    right /= np.linalg.norm(right)
+    vehicle_from_camera = np.eye(4)
+    vehicle_from_camera[:3, :3] = np.stack([right, -np.cross(toward, right), -toward], 1)
+    vehicle_from_camera[:3, 3] = ORBIT_DISTANCE * toward
+    K = np.array([[620.0, 0, 240], [0, 620.0, 160], [0, 0, 1]])
+    return Camera(K, 480, 320, world_from_vehicle @ vehicle_from_camera, moment)

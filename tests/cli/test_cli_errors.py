@@ -1,0 +1,65 @@
+"""Bad input gets one clear sentence and exit code 2, and leaves nothing half-written."""
+
+import pytest
+
+from dwgs.cli import main
+
+
+@pytest.fixture
+def refused(capsys, tmp_path):
+    """Runs a command that must fail; gives the sentence."""
+
+    def run(*arguments: str) -> str:
+        with pytest.raises(SystemExit) as exit:
+            main([*arguments, "-o", str(tmp_path / "out")])
+        assert exit.value.code == 2
+        message = capsys.readouterr().err.strip().splitlines()[-1]
+        assert message.startswith("dwgs: ")
+        assert not (tmp_path / "out").exists() or not list((tmp_path / "out").rglob("*"))
+        return message
+
+    return run
+
+
+TOY = ("--frames", "0-8", "--size", "96x64")
+
+
+def test_a_missing_drive(refused, tmp_path):
+    assert "nowhere" in refused("insert", str(tmp_path / "nowhere"), "--vehicle", "street", "--ahead", "9")
+
+
+def test_a_missing_vehicle(refused):
+    assert "no-such.glb" in refused("insert", "street", "--vehicle", "no-such.glb", "--ahead", "9", *TOY)
+
+
+def test_a_track_that_is_not_there_lists_those_that_are(refused):
+    assert "parked-00" in refused("insert", "street", "--vehicle", "nobody", "--ahead", "9", *TOY)
+
+
+def test_nothing_says_where_the_vehicle_drives(refused):
+    assert "--ahead" in refused("insert", "street", "--vehicle", "parked-00", *TOY)
+
+
+def test_an_unknown_generator_names_those_that_work(refused):
+    message = refused("insert", "street", "--vehicle", "street", "--generator", "wan-point", *TOY)
+    assert "composite" in message
+
+
+def test_a_trajectory_shorter_than_the_clip(refused, tmp_path):
+    path = tmp_path / "short.csv"
+    path.write_text("t,x,y,z,heading\n0,10,0,0.8,0\n0.3,12,0,0.8,0\n")
+    assert "covers" in refused("insert", "street", "--vehicle", "street", "--trajectory", str(path), *TOY)
+
+
+def test_a_vehicle_behind_the_camera_in_every_frame(refused):
+    assert "behind" in refused("insert", "street", "--vehicle", "street", "--ahead", "-40", *TOY)
+
+
+@pytest.mark.parametrize("frames", ["8-3", "all", "900-950"])
+def test_frames_that_are_not_there(refused, frames):
+    assert refused("insert", "street", "--vehicle", "street", "--frames", frames, "--size", "96x64")
+
+
+@pytest.mark.parametrize("size", ["96", "8x8", "0x0", "wide"])
+def test_sizes_that_are_none(refused, size):
+    assert "--size" in refused("insert", "street", "--vehicle", "street", "--frames", "0-8", "--size", size)
