@@ -29,9 +29,11 @@ class Projection:
         Each cloud comes with its ``world_from_cloud``. A cloud is uploaded when it first appears and stays
         until a picture lacks it; in between only matrices travel.
         """
-        total = sum(len(cloud) for cloud, _ in clouds)
-        self._make_room(total)
         self._keep_only([cloud for cloud, _ in clouds])
+        total = sum(len(cloud) for cloud, _ in clouds)
+        if total == 0:
+            return np.zeros(0, np.uint32)
+        self._make_room(total)
         self.splats.bind_to_storage_buffer(5)
         self._keys.bind_to_storage_buffer(6)
         set_uniforms(self._shader, intrinsics=intrinsics(camera), image_size=(camera.width, camera.height))
