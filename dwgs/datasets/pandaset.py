@@ -44,7 +44,8 @@ _SURFACE_OF_CLASS = {
     "ground": "Ground, Road, Lane Line Marking, Stop Line Marking, Other Road Marking, Sidewalk, Driveway",
     "vehicle": "Car, Pickup Truck, Medium-sized Truck, Semi-truck, Towed Object, Motorcycle, "
     "Other Vehicle - Construction Vehicle, Other Vehicle - Uncommon, Other Vehicle - Pedicab, "
-    "Emergency Vehicle, Bus, Personal Mobility Device, Motorized Scooter, Bicycle, Train, Trolley, Tram / Subway",
+    "Emergency Vehicle, Bus, Personal Mobility Device, Motorized Scooter, Bicycle, Train, Trolley, "
+    "Tram / Subway",
     "person": "Pedestrian, Pedestrian with Object, Animals - Bird, Animals - Other",
     "noise": "Smoke, Exhaust, Spray or rain, Reflection",
 }

@@ -90,6 +90,7 @@ def read_tracks(
 
     A moving object that both LiDARs saw has a box from each, under two ids: the track keeps the spinning
     LiDAR's. A box is where its points were when they were hit, up to 0.1 s before the stamp: that is its time.
+    Images of the same frame are taken up to half a period off; both ends reach as far, at constant velocity.
     """
     sweep_of = {sweep.frame_index: sweep for sweep in sweeps}
     seen: dict[str, list[_Sighting]] = defaultdict(list)
@@ -157,12 +158,26 @@ def _track(seen: list[_Sighting], twins: list[_Sighting], usual: float, stamps: 
     times = stamps[frames] - leads
     later = np.append(True, times[1:] > np.maximum.accumulate(times)[:-1])
     world_from_box = np.stack([s.world_from_box for s in seen])
+    period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.1
     strays = np.ptp(world_from_box[:, :3, 3], axis=0).max()
     return Track(
         id=seen[0].id,
         category=seen[0].category,
         size=np.median([s.size for s in seen], axis=0),
-        trajectory=Trajectory(times[later], world_from_box[later]),
+        trajectory=_prolonged(times[later], world_from_box[later], period / 2),
         is_moving=bool(strays > MOVING_DISTANCE) or not all(s.is_stationary for s in [*seen, *twins]),
         is_vehicle=seen[0].category in _VEHICLES,
+    )
+
+
+def _prolonged(times: NDArray, world_from_box: NDArray, by: float) -> Trajectory:
+    """The motion, gone on with for ``by`` seconds on either side."""
+    before, after = world_from_box[0].copy(), world_from_box[-1].copy()
+    if len(times) > 1:
+        steps = np.diff(world_from_box[:, :3, 3], axis=0) / np.diff(times)[:, None]
+        before[:3, 3] -= by * steps[0]
+        after[:3, 3] += by * steps[-1]
+    return Trajectory(
+        np.concatenate([[times[0] - by], times, [times[-1] + by]]),
+        np.concatenate([before[None], world_from_box, after[None]]),
     )

@@ -1,7 +1,7 @@
 """Pandas tables in gzip pickles, read without pandas and without running anything.
 
 A pickle is a program: it names callables and says with what to call them. Here every callable it may name
-is replaced by an inert record of the call: unpickling yields a description of the table and does nothing else.
+is replaced by an inert record of the call: unpickling yields a description of the table, nothing else runs.
 The description is then read: layouts of pandas 0.25 to 3, NumPy 1 and 2, pickle protocols 2 to 5.
 """
 
@@ -104,7 +104,7 @@ class _Reader(pickle.Unpickler):
 def _describe(data: bytes) -> Any:
     for opcode, argument, _ in pickletools.genops(data):
         # The C unpickler makes room for as many memo entries as the largest number says.
-        if "PUT" in opcode.name and argument > _MAX_MEMO:
+        if "PUT" in opcode.name and argument is not None and argument > _MAX_MEMO:
             raise _NotATableError(f"asks for {argument} memo entries")
     return _Reader(io.BytesIO(data)).load()
 
