@@ -17,7 +17,7 @@ def open_scene(path: Path) -> Scene:
     path = Path(path)
     if not path.is_dir():
         raise InputError(f"there is no folder '{path}'; give the folder of a recorded drive")
-    marks = {"scene.json": folder.read, "lidar/poses.json": pandaset.read}
+    marks = {folder.SCENE_FILE: folder.read, "lidar/poses.json": pandaset.read}
     for mark, read in marks.items():
         if (path / mark).is_file():
             return read(path)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from dwgs.files import new_folder
 from dwgs.scene.camera import Camera
@@ -25,6 +25,7 @@ from dwgs.scene.track import Track
 from dwgs.scene.trajectory import Trajectory
 from dwgs.video import LosslessVideo, write_lossless
 
+SCENE_FILE = "scene.json"
 FORMAT = "dwgs-scene"
 VERSION = 1
 
@@ -52,7 +53,7 @@ def write(scene: Scene, path: Path, on_progress: Callable[[int, int], None] | No
             write_lossless(draft / f"{name}.mkv", pixels(frames), _fps(frames))
             masks = [frame for frame in frames if frame.load_reactive_mask]
             if masks:
-                grey = (np.uint8(255) * frame.reactive_mask for frame in masks)
+                grey = (np.uint8(255) * np.asarray(frame.reactive_mask, bool) for frame in masks)
                 write_lossless(draft / f"{name}.reactive_mask.mkv", grey, _fps(frames))
         arrays = {}
         for i, sweep in enumerate(scene.sweeps):
@@ -60,10 +61,9 @@ def write(scene: Scene, path: Path, on_progress: Callable[[int, int], None] | No
             if sweep.labels is not None:
                 arrays[f"{i}.labels"] = sweep.labels
         if arrays:
-            save_file(
-                {key: np.ascontiguousarray(a) for key, a in arrays.items()}, draft / "sweeps.safetensors"
-            )
-        (draft / "scene.json").write_text(json.dumps(_document(scene)))
+            contiguous = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
+            (draft / "sweeps.safetensors").write_bytes(save(contiguous))
+        (draft / SCENE_FILE).write_text(json.dumps(_document(scene)))
 
 
 def read(path: Path) -> Scene:
@@ -72,7 +72,7 @@ def read(path: Path) -> Scene:
     Raises `InputError` where anything is missing, damaged, of another version or at odds with the rest.
     """
     path = Path(path)
-    file = path / "scene.json"
+    file = path / SCENE_FILE
     try:
         document = json.loads(file.read_text())
     except FileNotFoundError:
