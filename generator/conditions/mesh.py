@@ -81,7 +81,9 @@ def sample_mesh(path: Path, seed: int = 0) -> Surface:
         normals[here] = _normals(mesh, transform, own, face, weights[here])
         first += len(own)
     stated = Convention("m", "y", "z") if path.suffix.lower() in (".glb", ".gltf") else None
-    return Surface(points[opaque], colors[opaque], normals[opaque], triangles, stated, tuple(remarks))
+    return Surface(
+        points[opaque], colors[opaque], normals[opaque], triangles, chosen[opaque], stated, tuple(remarks)
+    )
 
 
 def _distrust(path: Path) -> list[str]:

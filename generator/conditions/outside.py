@@ -4,43 +4,56 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from generator.conditions import kernels
+
 DIRECTIONS = 48
 """Viewpoints at infinity, spread evenly over the sky and down to `LOWEST`."""
 
 LOWEST = -0.15
 """z of the lowest direction: nobody looks at a car from further below, but many could look in from there."""
 
-wp.config.log_level = wp.LOG_ERROR  # standard output belongs to the command line
+PATCH = 0.1
+"""Points of one face within a cube of this side [m] share their fate: few of them are asked."""
+
+_ASKED = 3  # of a patch
 
 
-def seen_from_outside(points: NDArray, normals: NDArray, triangles: NDArray) -> NDArray[np.int8]:
-    """+1 where the side that the normal faces can be seen [P], -1 where only the other can, 0 where neither can.
+def seen_from_outside(
+    points: NDArray, normals: NDArray, face: NDArray[np.int64], triangles: NDArray
+) -> NDArray[np.int8]:
+    """+1 [P] where the side that the normal faces is seen, -1 where the other is, 0 where neither can be.
 
     Args:
         points: [P, 3] on the surface [m], z up.
         normals: [P, 3] unit.
+        face: [P] the triangle that each point lies on.
         triangles: [F, 3, 3] corners of every face that hides [m].
     """
+    cell = np.floor((points - points.min(0)) / PATCH).astype(np.int64)
+    span = cell.max(0) + 1
+    key = ((face * span[0] + cell[:, 0]) * span[1] + cell[:, 1]) * span[2] + cell[:, 2]
+    _, patch, count = np.unique(key, return_inverse=True, return_counts=True)
+    by_patch = np.argsort(patch, kind="stable")
+    rank = np.arange(len(points)) - np.repeat(np.cumsum(count) - count, count)
+    asked = by_patch[rank < _ASKED]
+    sides = _look(points[asked], normals[asked], triangles)
+    votes = np.bincount(patch[asked], weights=sides, minlength=len(count))
+    return np.sign(votes).astype(np.int8)[patch]
+
+
+def _look(points: NDArray, normals: NDArray, triangles: NDArray) -> NDArray[np.int8]:
     mesh = wp.Mesh(
-        points=wp.array(
-            np.ascontiguousarray(triangles.reshape(-1, 3), np.float32), dtype=wp.vec3, device="cpu"
-        ),
+        points=_vectors(triangles.reshape(-1, 3)),
         indices=wp.array(np.arange(3 * len(triangles), dtype=np.int32), device="cpu"),
     )
     side = wp.zeros(len(points), dtype=wp.int8, device="cpu")
-    wp.launch(
-        _look,
-        dim=len(points),
-        inputs=[
-            mesh.id,
-            wp.array(points.astype(np.float32), dtype=wp.vec3, device="cpu"),
-            wp.array(normals.astype(np.float32), dtype=wp.vec3, device="cpu"),
-            wp.array(_directions().astype(np.float32), dtype=wp.vec3, device="cpu"),
-            side,
-        ],
-        device="cpu",
-    )
+    inputs = [mesh.id, _vectors(points), _vectors(normals), _vectors(_directions()), side]
+    wp.launch(kernels.look_from_outside, dim=len(points), inputs=inputs, device="cpu")
     return side.numpy()
+
+
+def _vectors(array: NDArray) -> wp.array:
+    return wp.array(np.ascontiguousarray(array, np.float32), dtype=wp.vec3, device="cpu")
 
 
 def _directions() -> NDArray[np.float64]:
@@ -51,25 +64,3 @@ def _directions() -> NDArray[np.float64]:
     radius = np.sqrt(1 - z * z)
     lattice = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], 1)
     return lattice[np.argsort(np.arange(DIRECTIONS) * 0.6180339887498949 % 1)]
-
-
-@wp.kernel
-def _look(
-    mesh: wp.uint64,
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    directions: wp.array(dtype=wp.vec3),
-    side: wp.array(dtype=wp.int8),
-):
-    i = wp.tid()
-    found = int(0)
-    for k in range(directions.shape[0]):
-        facing = wp.dot(normals[i], directions[k])
-        # along the surface rays slip between neighbouring faces
-        if wp.abs(facing) > 0.1 and found < 1:
-            sign = wp.sign(facing)
-            if found == 0 or sign > 0.0:
-                start = points[i] + 1.0e-3 * sign * normals[i]
-                if not wp.mesh_query_ray_anyhit(mesh, start, directions[k], 100.0):
-                    found = int(sign)
-    side[i] = wp.int8(found)

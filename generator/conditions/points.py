@@ -12,6 +12,7 @@ from generator.conditions.outside import seen_from_outside
 from generator.conditions.surface import Surface
 
 _GREY = 127
+_BOX_SLACK = 0.02  # m: a stated box is rounded
 _CLEARANCE = (0.05, 0.40)  # between a body without wheels and the ground of its own frame [m]
 
 
@@ -62,10 +63,10 @@ def _from_surface(
     size, center = high - low, (low + high) / 2
     points = surface.points @ turn.T - center
     colors, normals = surface.colors, surface.normals
-    if surface.triangles is not None and normals is not None:
+    if surface.triangles is not None and surface.face is not None and normals is not None:
         normals = normals @ turn.T
         normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-12)
-        side = seen_from_outside(points, normals, surface.triangles @ turn.T - center)
+        side = seen_from_outside(points, normals, surface.face, surface.triangles @ turn.T - center)
         if not side.any():
             raise InputError(f"no face of {path.name} can be seen from outside; repair the mesh")
         points, colors, normals = points[side != 0], colors[side != 0], (normals * side[:, None])[side != 0]
@@ -97,8 +98,9 @@ def _from_box(path: Path, size: NDArray[np.float64]) -> tuple[VehiclePoints, NDA
             f"{path.name} states a box of {' x '.join(f'{s:.2f}' for s in size)} m but its points reach from "
             f"{np.round(low, 2)} to {np.round(high, 2)}; correct the comment or set --unit and --forward"
         )
-    normals = None if surface.normals is None else surface.normals.astype(np.float32)
-    vehicle = VehiclePoints(surface.points.astype(np.float32), surface.colors, normals)
+    inside = (np.abs(surface.points) <= size / 2 + _BOX_SLACK).all(1)
+    normals = None if surface.normals is None else surface.normals[inside].astype(np.float32)
+    vehicle = VehiclePoints(surface.points[inside].astype(np.float32), surface.colors[inside], normals)
     words = (
         f"{path.name}: states its box ({' x '.join(f'{s:.2f}' for s in size)} m), metres, up +z, forward +x"
     )

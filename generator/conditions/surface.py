@@ -30,6 +30,8 @@ class Surface:
     """[P, 3] unit, of either sign; None for a scan without them."""
     triangles: NDArray[np.float64] | None = None
     """[F, 3, 3] corners; None for a cloud."""
+    face: NDArray[np.int64] | None = None
+    """[P] the triangle that each point lies on; None for a cloud."""
     stated: Convention | None = None
     """What the format states."""
     remarks: tuple[str, ...] = ()
