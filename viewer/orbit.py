@@ -3,15 +3,25 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dwgs.scene import Camera, Trajectory, VehicleAsset
+from dwgs.scene import Camera, VehicleAsset
 from dwgs.scene.insertion import box_corners
 from dwgs.scene.pose import pose
-from viewer.scene_graph import SceneGraph
 
 FIRST_AZIMUTH = np.radians(35)
 """Where the turn begins [rad], from straight ahead towards the left: a front quarter shows most."""
 FILLED = 0.82
 """Share of the image's width or height that the vehicle fills where it looks largest."""
+
+
+def _studio() -> NDArray[np.float32]:
+    height = np.cos((np.arange(512) + 0.5) / 512 * np.pi)  # of the direction above the horizon, 1 to -1
+    falloff = np.where(height > 0, 0.30 * (1 - np.exp(-3.0 * height)), 0.20 * (1 - np.exp(2.2 * height)))
+    gray = 0.93 - falloff
+    return (gray[:, None, None] * np.array([0.985, 0.995, 1.0])).astype(np.float32)
+
+
+BACKDROP = _studio()
+"""[H, 1, 3] light ground before a soft grey wall: brightest at the horizon, no edge anywhere."""
 
 
 def orbit_cameras(
@@ -28,20 +38,6 @@ def orbit_cameras(
     rotations = [_towards_origin(azimuth, elevation) for azimuth in azimuths]
     distance = max(_fitting_distance(box_corners(asset.size) @ r, K, width, height) for r in rotations)
     return [Camera(K, width, height, pose(r, -distance * r[:, 2]), time=0.0) for r in rotations]
-
-
-def studio_scene(asset: VehicleAsset) -> SceneGraph:
-    """The asset with its shadow in the world's origin at time 0, on light ground before a soft grey wall."""
-    here = Trajectory(np.zeros(1), np.eye(4)[None])
-    return SceneGraph(None, [(asset, here)], backdrop=studio())
-
-
-def studio() -> NDArray[np.float32]:
-    """[H, 1, 3] backdrop: brightest at the horizon, darker below and overhead, no edge anywhere."""
-    height = np.cos((np.arange(512) + 0.5) / 512 * np.pi)  # of the direction above the horizon, 1 to -1
-    falloff = np.where(height > 0, 0.30 * (1 - np.exp(-3.0 * height)), 0.20 * (1 - np.exp(2.2 * height)))
-    grey = 0.93 - falloff
-    return (grey[:, None, None] * np.array([0.985, 0.995, 1.0])).astype(np.float32)
 
 
 def _towards_origin(azimuth: float, elevation: float) -> NDArray[np.float64]:

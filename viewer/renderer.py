@@ -29,10 +29,6 @@ class Image:
     alpha: NDArray[np.float32]
     """[H, W] how much of the pixel Gaussians cover, in [0, 1]."""
 
-    def to_uint8(self) -> NDArray[np.uint8]:
-        """[H, W, 3] the colours as a file or a video takes them."""
-        return (np.clip(self.rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
-
 
 class Renderer:
     """Draws pictures of one size, one at a time, on the thread that made it.

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from random_world import HEIGHT, WIDTH, random_cloud
 
-from dwgs.scene import Gaussians, VehicleAsset
+from dwgs.scene import Gaussians, Trajectory, VehicleAsset
 from dwgs.scene.insertion import box_corners
-from viewer.orbit import FILLED, orbit_cameras, studio, studio_scene
+from viewer.orbit import BACKDROP, FILLED, orbit_cameras
+from viewer.scene_graph import SceneGraph
 
 
 def asset(size=(4.5, 1.9, 1.5)) -> VehicleAsset:
@@ -48,8 +49,10 @@ def test_the_shadow_darkens_a_light_ground(renderer):
     view = orbit_cameras(asset(), 1, WIDTH, HEIGHT)[0]
     whole = asset()
     bare = VehicleAsset(whole.body, Gaussians.empty(), whole.size)
-    with_shadow = renderer.render(studio_scene(whole), view)
-    without = renderer.render(studio_scene(bare), view)
+    here = Trajectory(np.zeros(1), np.eye(4)[None])
+    with_shadow, without = (
+        renderer.render(SceneGraph(None, [(shown, here)], BACKDROP), view) for shown in (whole, bare)
+    )
     ground = without.alpha == 0
     assert without.rgb[ground].min() > 0.6
     assert (with_shadow.rgb[ground] <= without.rgb[ground] + 1e-5).all()
@@ -57,6 +60,6 @@ def test_the_shadow_darkens_a_light_ground(renderer):
 
 
 def test_the_studio_is_brightest_at_the_horizon_and_has_no_edge():
-    gray = studio()[:, 0, 0]
+    gray = BACKDROP[:, 0, 0]
     assert abs(int(np.argmax(gray)) - len(gray) / 2) <= 1
     assert abs(np.diff(gray)).max() < 0.01
