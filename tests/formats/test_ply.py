@@ -12,7 +12,9 @@ from dwgs.scene import Gaussians, InputError
 from dwgs.scene.gaussians import SH_COUNTS
 
 in_one_folder = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=60,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 """Examples overwrite each other's file, which is what writing in place is for."""
 

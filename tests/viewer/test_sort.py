@@ -1,5 +1,5 @@
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from viewer.sort import CULLED, back_to_front
@@ -7,6 +7,7 @@ from viewer.sort import CULLED, back_to_front
 depths = st.floats(0.0625, 1e6, width=32).map(lambda z: int(np.float32(z).view(np.uint32)))
 
 
+@settings(deadline=None)
 @given(st.lists(depths | st.sampled_from([int(CULLED), int(np.float32(1).view(np.uint32))]), max_size=200))
 def test_the_order_is_a_stable_sort_by_depth_turned_round(keys):
     keys = np.array(keys, np.uint32)
