@@ -113,7 +113,7 @@ class LosslessVideo:
                 self._container.seek(stamp, stream=self._stream)
                 packet = next(p for p in self._container.demux(self._stream) if p.pts == stamp)
                 if _is_whole(bytes(packet)):
-                    return packet.decode()[0].to_ndarray(format=self._format)
+                    return np.asarray(packet.decode()[0].to_ndarray(format=self._format), np.uint8)
             except (FFmpegError, StopIteration, IndexError):
                 pass
         raise InputError(f"frame {index} of '{self.path}' is damaged; write the video again")

@@ -89,8 +89,8 @@ def read_tracks(
     """Tracks of the boxes of each frame; ``stamps`` [s] are the ends of the sweeps by frame number.
 
     A moving object that both LiDARs saw has a box from each, under two ids: the track keeps the spinning
-    LiDAR's. A box is where its points were when they were hit, up to 0.1 s before the stamp: that is its time.
-    Images of the same frame are taken up to half a period off; both ends reach as far, at constant velocity.
+    LiDAR's. A box is where its points were when they were hit, up to 0.1 s before the stamp: its time.
+    Images of its frame are taken up to half a period off; both ends reach as far, at constant velocity.
     """
     sweep_of = {sweep.frame_index: sweep for sweep in sweeps}
     seen: dict[str, list[_Sighting]] = defaultdict(list)

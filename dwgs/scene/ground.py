@@ -33,10 +33,10 @@ class Ground:
 
     @staticmethod
     def from_sweeps(sweeps: Sequence[LidarSweep], ego: Trajectory) -> "Ground":
-        """Ground around the ego path: per cell the middle of what is labelled ground, or the lowest of what is not.
+        """Ground around the ego path: per cell the middle of what is labelled ground, else the lowest points.
 
-        Cells that stick out of their surroundings (a car roof, a facade) are dropped, cells without points filled
-        from their neighbours. Raises `InputError` without sweeps or without points near the path.
+        Cells that stick out of their surroundings (a car roof, a facade) are dropped, cells without points
+        filled from their neighbours. Raises `InputError` without sweeps or without points near the path.
         """
         path = ego.world_from_vehicle[:, :2, 3]
         low, high = path.min(0) - REACH, path.max(0) + REACH
@@ -81,12 +81,10 @@ def _candidates(
 ) -> tuple[NDArray[np.float64], bool]:
     """Points [P, 3] that may be ground, and whether labels say so."""
     points = sweep.points.astype(np.float64)
-    points = (
-        points[((points[:, :2] > low) & (points[:, :2] < high)).all(1)] if sweep.labels is None else points
-    )
+    inside = ((points[:, :2] > low) & (points[:, :2] < high)).all(1)
     if sweep.labels is not None:
-        inside = ((points[:, :2] > low) & (points[:, :2] < high)).all(1)
         return points[inside & (sweep.labels == SURFACES.index("ground"))], True
+    points = points[inside]
     distance = np.linalg.norm(points[:, :2] - ego.at(sweep.time)[:2, 3], axis=1)
     near = points[distance < 15, 2]
     floor = np.quantile(near, 0.05) if len(near) else points[:, 2].min(initial=0)
@@ -97,7 +95,7 @@ def _quantile_by_cell(cell: NDArray, z: NDArray, q: float) -> tuple[NDArray, NDA
     """Cells that occur, and the ``q`` quantile of ``z`` in each."""
     order = np.lexsort((z, cell))
     cells, first, count = np.unique(cell[order], return_index=True, return_counts=True)
-    return cells, z[order][first + (q * (count - 1)).astype(int)]
+    return cells, z[order][first + np.round(q * (count - 1)).astype(int)]
 
 
 def _fit_plane(xy: NDArray, z: NDArray) -> NDArray[np.float64]:
@@ -106,7 +104,7 @@ def _fit_plane(xy: NDArray, z: NDArray) -> NDArray[np.float64]:
     plane = np.linalg.lstsq(design, z, rcond=None)[0]
     error = abs(design @ plane - z)
     kept = error <= 2 * np.median(error) + 1e-9
-    return np.linalg.lstsq(design[kept], z[kept], rcond=None)[0]
+    return np.asarray(np.linalg.lstsq(design[kept], z[kept], rcond=None)[0], np.float64)
 
 
 def _fill(values: NDArray, weight: NDArray) -> NDArray[np.float64]:
@@ -130,7 +128,8 @@ def _blur(grid: NDArray) -> NDArray[np.float64]:
     for axis in (0, 1):
         padded = np.pad(grid, [(2, 2) if a == axis else (0, 0) for a in (0, 1)], mode="edge")
         count = grid.shape[axis]
-        grid = sum(w * padded.take(np.arange(k, k + count), axis) for k, w in enumerate(_BLUR))
+        shifted = [padded.take(np.arange(k, k + count), axis) for k in range(len(_BLUR))]
+        grid = np.tensordot(_BLUR, shifted, 1)
     return grid
 
 

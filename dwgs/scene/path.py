@@ -28,8 +28,8 @@ class Path:
     def of(trajectory: Trajectory) -> "Path":
         """The path a vehicle drove; where it stood, nothing but its heading counts.
 
-        A cubic Hermite curve through positions `KNOT_SPACING` apart. At both ends it leaves in the direction the
-        vehicle faces, which is known better there than the direction it moves in.
+        A cubic Hermite curve through positions `KNOT_SPACING` apart. At both ends it leaves in the direction
+        the vehicle faces, which is known better there than the direction it moves in.
         """
         positions = trajectory.world_from_vehicle[:, :2, 3]
         knots = [0]
@@ -66,7 +66,7 @@ class Path:
         return float(self.s[-1])
 
     def at(self, s: ArrayLike, left: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """World position [..., 2] [m] and heading [...] [rad] at length ``s`` [m], ``left`` metres beside the path."""
+        """World position [..., 2] [m] and heading [...] [rad] at length ``s`` [m], ``left`` metres beside."""
         s = np.asarray(s, np.float64)
         heading = np.interp(s, self.s, self.heading)
         forward = np.stack([np.cos(heading), np.sin(heading)], -1)

@@ -18,10 +18,10 @@ _SUSPENSION = np.linspace(-1, 1, 5)
 def place_ahead(scene: Scene, size: ArrayLike, ahead: float, left: float, speed: float | None) -> Trajectory:
     """A vehicle on the ego's own path, wheels on the ground, at the times of all frames of the scene.
 
-    At the first frame it is ``ahead`` metres further along the path than the ego and ``left`` metres beside it. From
-    there it drives ``speed`` [m/s] along the path, or keeps its distance to the ego where ``speed`` is None. The path
-    goes on straight beyond both ends. ``size`` is (length, width, height) [m]. Raises `InputError` where the
-    scene has no LiDAR to find the ground in.
+    At the first frame it is ``ahead`` metres further along the path than the ego, ``left`` metres beside it.
+    From there it drives ``speed`` [m/s] along the path, or keeps its distance to the ego where ``speed`` is
+    None. The path goes on straight beyond both ends. ``size`` is (length, width, height) [m]. Raises
+    `InputError` where the scene has no LiDAR to find the ground in.
     """
     ground = Ground.from_sweeps(scene.sweeps, scene.ego)
     path = Path.of(scene.ego)
@@ -33,9 +33,10 @@ def place_ahead(scene: Scene, size: ArrayLike, ahead: float, left: float, speed:
 
 
 def stand_on(ground: Ground, xy: ArrayLike, heading: ArrayLike, size: ArrayLike) -> NDArray[np.float64]:
-    """``world_from_vehicle`` [T, 4, 4] of a box over world positions [T, 2] whose four wheels touch the ground.
+    """``world_from_vehicle`` [T, 4, 4] of a box over world positions [T, 2], its four wheels on the ground.
 
-    Pitch and roll are those of the plane that fits the ground under the wheels best; ``heading`` [T] [rad] is kept.
+    Pitch and roll are those of the plane that fits the ground under the wheels best; ``heading`` [T] [rad] is
+    kept.
     """
     xy, heading = np.asarray(xy, np.float64), np.asarray(heading, np.float64)
     length, width, height = np.asarray(size, np.float64)
@@ -59,9 +60,10 @@ def stand_on(ground: Ground, xy: ArrayLike, heading: ArrayLike, size: ArrayLike)
 
 
 def conflicts(scene: Scene, size: ArrayLike, trajectory: Trajectory) -> list[tuple[str, int, int]]:
-    """Recorded tracks whose boxes, seen from above, overlap the vehicle's: (id, first, last frame of the main camera).
+    """Recorded tracks whose boxes, seen from above, overlap the vehicle's: (id, first frame, last frame).
 
-    ``size`` is the vehicle's (length, width, height) [m]; only times that both trajectories cover count.
+    Frames are the main camera's. ``size`` is the vehicle's (length, width, height) [m]; only times that both
+    trajectories cover count.
     """
     frames = scene.frames[scene.main_camera]
     times = np.array([frame.camera.time for frame in frames])
