@@ -93,14 +93,14 @@ def paint_car(car: Shape, palette: Palette, color: tuple[int, int, int]) -> Shap
 def _stations(design: CarDesign) -> NDArray[np.float64]:
     """x of the cross-sections: dense at the ends and about the wheels, exact where glass begins and ends."""
     half = design.half
-    ends = half - 0.30 * (1 - np.cos(np.linspace(0, np.pi / 2, 8)))
-    arches = [x + (design.wheel + 0.07) * np.cos(np.linspace(0, np.pi, 13)) for x in design.axles]
-    rest = np.linspace(-half + 0.3, half - 0.3, 32)
-    pillars = np.array([*design.glass, *(_pillars(design))])
+    ends = half - 0.34 * (1 - np.cos(np.linspace(0, np.pi / 2, 7)))
+    arches = [x + (design.wheel + 0.07) * np.cos(np.linspace(0, np.pi, 11)) for x in design.axles]
+    rest = np.linspace(-half + 0.4, half - 0.4, 20)
+    pillars = np.array([*design.glass, *_pillars(design), *_seams(design).ravel()])
     x = np.unique(np.round(np.concatenate([ends, -ends, *arches, rest, pillars]), 4))
-    keep = np.concatenate([[True], np.diff(x) > 0.012])
     exact = np.isin(x, np.round(pillars, 4))
-    return x[keep | exact]
+    near_exact = np.abs(x[:, None] - pillars).min(1) < 0.02
+    return x[exact | ~near_exact]
 
 
 def _pillars(design: CarDesign) -> tuple[float, ...]:
@@ -108,6 +108,13 @@ def _pillars(design: CarDesign) -> tuple[float, ...]:
     rear, _, front, _ = design.glass
     back = max(rear, -design.half + 0.35)
     return (-0.10, -0.02, back + 0.30, min(front + 0.62, design.glass[3] - 0.12))
+
+
+def _seams(design: CarDesign) -> NDArray[np.float64]:
+    """[3, 2] from where to where (x) the gaps before, between and behind the doors go."""
+    rear, front = design.axles
+    middle = np.array([front - design.wheel - 0.14, -0.06, rear + design.wheel + 0.06])
+    return middle[:, None] + [-0.007, 0.007]
 
 
 def _shell(design: CarDesign) -> Shape:
@@ -164,21 +171,28 @@ def _shell(design: CarDesign) -> Shape:
     across = ((mid > rear0) & (mid < rear1)) | ((mid > front0) & (mid < front1))
     parts[np.ix_(beside, (column == 7) | (column == 8))] = GLASS
     parts[np.ix_(across, column >= 10)] = GLASS
-    parts[:, column == 0] = TRIM
-    parts[np.ix_(np.abs(mid) > -1, column == 1)] = TRIM
-    skin = grid_surface(grid, parts)
-    return Shape.join([skin, _cap(grid[-1], 1), _cap(grid[0], -1)])
+    for low_x, high_x in _seams(design):
+        parts[np.ix_((mid > low_x) & (mid < high_x), (column >= 2) & (column < 6))] = TRIM
+    parts[:, column <= 1] = TRIM
+    parts[np.ix_(mid > half - 0.40, (column == 4) | (column == 5))] = LAMP
+    parts[np.ix_(mid < -half + 0.26, (column == 4) | (column == 5))] = TAIL
+    return Shape.join([grid_surface(grid, parts), _cap(grid[-1], 1), _cap(grid[0], -1)])
 
 
 def _cap(section: NDArray, facing: int) -> Shape:
-    """Closes an end of the shell with strips from its left half to its right half, slightly domed."""
+    """Closes an end of the shell from its left to its right half: lamps at the corners, a grille or a bumper."""
     half = (len(section) + 1) // 2
     left, right = section[:half], section[::-1][:half]
-    s = np.linspace(0, 1, 9)[None, :, None]
+    s = np.array([0, 0.1, 0.2, 0.32, 0.5, 0.68, 0.8, 0.9, 1])[None, :, None]
     grid = left[:, None] * (1 - s) + right[:, None] * s
-    if facing < 0:
-        grid = grid[:, ::-1]
-    return grid_surface(grid[:, ::-1], np.full((half - 1, 8), PAINT))
+    parts = np.full((half - 1, 8), PAINT)
+    parts[:2] = TRIM
+    parts[4:6, [0, 1, 6, 7]] = LAMP if facing > 0 else TAIL
+    if facing > 0:
+        parts[2:4, 2:6] = TRIM
+    else:
+        parts[2, :] = TRIM
+    return grid_surface(grid[:, ::-1] if facing > 0 else grid, parts)
 
 
 def _underbody(design: CarDesign) -> Shape:
@@ -203,13 +217,13 @@ def _wheel(radius: float, side: int) -> Shape:
         [0.0, -0.10], [radius - 0.06, -0.10], [radius - 0.015, -0.085], [radius, -0.05], [radius, 0.05],
         [radius - 0.015, 0.085], [radius - 0.06, 0.10], [radius - 0.105, 0.095], [radius - 0.11, 0.06], [0.0, 0.06],
     ])  # fmt: skip
-    tyre = Shape.of(trimesh.creation.revolve(profile, sections=28), TYRE, smooth=True)
+    tyre = Shape.of(trimesh.creation.revolve(profile, sections=20), TYRE, smooth=True)
     pieces = [tyre]
     for k in range(5):
         spoke = box((0.03, -0.032, 0.055), (radius - 0.105, 0.032, 0.085), RIM)
         turn = trimesh.transformations.rotation_matrix(2 * np.pi * k / 5 + 0.3, (0, 0, 1))
         pieces.append(spoke.moved(turn))
-    ring = trimesh.creation.annulus(radius - 0.135, radius - 0.10, 0.04, sections=28)
+    ring = trimesh.creation.annulus(radius - 0.135, radius - 0.10, 0.04, sections=20)
     pieces.append(Shape.of(ring, RIM).at(0, 0, 0.075))
     hub = trimesh.creation.cylinder(radius=0.065, height=0.05, sections=14)
     pieces.append(Shape.of(hub, RIM).at(0, 0, 0.07))
@@ -218,26 +232,17 @@ def _wheel(radius: float, side: int) -> Shape:
 
 
 def _fittings(design: CarDesign) -> list[Shape]:
-    """Lamps, plates, grille, bumpers, mirrors, handles."""
+    """Plates, mirrors, handles."""
     length, width, height = design.size
     half, w = design.half, width / 2
-    front_z = 0.46 * design.belt + 0.24
-    rear_z = 0.84 * design.belt
+    rear_z = 0.74 * design.belt
     pieces = [
-        box((half - 0.10, -0.48, 0.40), (half + 0.004, 0.48, 0.53), TRIM),
-        box((half - 0.10, -0.62, 0.23), (half - 0.01, 0.62, 0.33), TRIM),
-        box((half - 0.05, -0.26, 0.42), (half + 0.012, 0.26, 0.52), PLATE),
-        box((-half - 0.012, -0.26, rear_z - 0.09), (-half + 0.05, 0.26, rear_z + 0.02), PLATE),
-        box((-half + 0.0, -0.62, 0.24), (-half + 0.12, 0.62, 0.40), TRIM),
+        box((half - 0.05, -0.26, 0.36), (half + 0.012, 0.26, 0.46), PLATE),
+        box((-half - 0.012, -0.26, rear_z - 0.06), (-half + 0.05, 0.26, rear_z + 0.06), PLATE),
     ]
     for side in (-1, 1):
-        pieces += [
-            ellipsoid((0.20, 0.24, 0.075), LAMP).at(half - 0.26, side * (w - 0.30), front_z),
-            ellipsoid((0.14, 0.15, 0.12), TAIL).at(-half + 0.14, side * (w - 0.24), rear_z),
-            ellipsoid((0.075, 0.11, 0.065), PAINT).at(
-                design.glass[3] - 0.28, side * (w + 0.02), design.belt + 0.10
-            ),
-        ]
+        mirror = ellipsoid((0.075, 0.11, 0.065), PAINT, subdivisions=1)
+        pieces.append(mirror.at(design.glass[3] - 0.28, side * (w + 0.02), design.belt + 0.10))
         for x in (-0.42, 0.52):
             low, high = sorted((side * (w - 0.03), side * (w + 0.012)))
             pieces.append(box((x, low, design.belt - 0.115), (x + 0.17, high, design.belt - 0.085), TRIM))

@@ -1,7 +1,5 @@
 """A spinning LiDAR on the roof of the recording car."""
 
-from concurrent.futures import Executor
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -9,9 +7,9 @@ from numpy.typing import NDArray
 from dwgs.scene.lidar import LidarSweep
 from dwgs.scene.pose import pose
 from dwgs.scene.trajectory import Trajectory
-from dwgs.street import raycast
+from dwgs.street import kernels
 from dwgs.street.drive import PERIOD
-from dwgs.street.world import Stage, in_chunks, transforms
+from dwgs.street.world import Stage, transforms
 
 ELEVATIONS = np.radians(
     np.concatenate([np.linspace(-26, -8, 18, False), np.linspace(-8, 3, 34, False), np.linspace(3, 18, 12)])
@@ -29,9 +27,7 @@ EGO_FROM_SENSOR = pose(np.eye(3), (0.9, 0.0, 1.95))
 """Above the camera."""
 
 
-def take_sweep(
-    stage: Stage, ego: Trajectory, index: int, seed: int, executor: Executor | None = None
-) -> LidarSweep:
+def take_sweep(stage: Stage, ego: Trajectory, index: int, seed: int) -> LidarSweep:
     """One turn, from behind over the left, the front and the right; the front passes at the camera's time."""
     start = index * PERIOD
     turn = (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
@@ -41,21 +37,9 @@ def take_sweep(
     directions = _directions(azimuths)
     ranges = np.zeros((AZIMUTHS, len(ELEVATIONS)), np.float32)
     labels = np.zeros((AZIMUTHS, len(ELEVATIONS)), np.uint8)
-    poses = stage.poses(times)
-    sensor = transforms(world_from_sensor)
-    inputs = (stage.world, poses, sensor, wp.array(directions, dtype=wp.vec3, device="cpu"))
+    inputs = [stage.at(times), transforms(world_from_sensor), wp.array(directions, dtype=wp.vec3, device="cpu")]
     outputs = [wp.array(a, device="cpu", copy=False) for a in (ranges, labels)]
-
-    def run(first: int, count: int) -> None:
-        wp.launch(
-            raycast.sweep,
-            (count, len(ELEVATIONS)),
-            [*inputs, first, REACH, *outputs],
-            device="cpu",
-            record_tape=False,
-        )
-
-    in_chunks(run, AZIMUTHS, 100, executor)
+    wp.launch(kernels.sweep, ranges.shape, [*inputs, REACH, *outputs], device="cpu", record_tape=False)
     column, beam = np.nonzero(ranges > NEAREST)
     noise = np.random.default_rng((seed, index, 1)).normal(0, RANGE_NOISE, len(column))
     far = ranges[column, beam] + noise

@@ -1,4 +1,4 @@
-"""Pictures of a stage: bytes, depth, and the share of each pixel that the last body covers."""
+"""Pictures of a stage: bytes, depth, and how much of each pixel the last body covers."""
 
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -8,9 +8,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from dwgs.scene.camera import Camera
-from dwgs.street import raycast
-from dwgs.street.raycast import Eye
-from dwgs.street.world import Stage, in_chunks, transforms
+from dwgs.street import kernels
+from dwgs.street.world import Stage, transforms
 
 ROWS = 24
 """Image rows that a thread renders at a time."""
@@ -19,13 +18,12 @@ SUN_RADIUS = 0.006
 
 
 def _pattern() -> NDArray[np.float32]:
-    """Eight rooks over the pixel (x, y), and as many over the sun (across, up)."""
+    """[8, 4] eight rooks over the pixel (x, y), and as many places on the sun (across, up)."""
     order = np.array([3, 6, 1, 4, 7, 2, 5, 0])
     place = (np.arange(8) + 0.5) / 8
-    sun = np.array(
-        [[1, 0.2], [-0.6, 0.8], [0.1, -0.9], [-1, -0.1], [0.5, 0.9], [-0.4, -0.6], [0.8, -0.5], [-0.2, 0.3]]
-    )
-    return np.column_stack([place, place[order], sun * SUN_RADIUS]).astype(np.float32)
+    turn = 2.4 * np.arange(8)  # a sunflower
+    sun = SUN_RADIUS * np.sqrt(place)[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    return np.column_stack([place, place[order], sun]).astype(np.float32)
 
 
 PATTERN = _pattern()
@@ -42,50 +40,53 @@ class Picture:
 
 
 def render(stage: Stage, camera: Camera, only: int = -1, executor: Executor | None = None) -> Picture:
-    """The stage at the camera's time; ``only`` names the one body to draw (on grey 127), lit as in the street."""
+    """The stage at the camera's time.
+
+    ``only`` names the one body to draw (on grey 127), lit as in the street. With an executor its threads share the
+    rows; the bytes are the same.
+    """
     height, width = camera.height, camera.width
+    world, eye = stage.at(camera.time), _eye(camera, only)
     colors = wp.empty((height, width), dtype=wp.vec3, device="cpu")
-    bodies = wp.empty((height, width), dtype=int, device="cpu")
-    pixels = np.empty((height, width, 3), np.uint8)
-    share = np.empty((height, width), np.uint8)
-    inputs = (stage.world, stage.poses(camera.time), *stage.contacts(camera.time), _eye(camera), only)
+    ranges = wp.empty((height, width), dtype=float, device="cpu")
+    bodies, kinds = (wp.empty((height, width), dtype=int, device="cpu") for _ in range(2))
+    pixels, share = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.uint8)
+    seen = [colors, ranges, bodies, kinds]
+    written = [wp.array(a, device="cpu", copy=False) for a in (pixels, share)]
     pattern = wp.array(PATTERN, dtype=wp.vec4, device="cpu")
-    outputs = [wp.array(a, device="cpu", copy=False) for a in (pixels, share)]
-
-    def draw(first: int, count: int) -> None:
-        wp.launch(
-            raycast.draw, (count, width), [*inputs, first, colors, bodies], device="cpu", record_tape=False
-        )
-
-    def refine(first: int, count: int) -> None:
-        arguments = [*inputs, first, pattern, colors, bodies, *outputs]
-        wp.launch(raycast.refine, (count, width), arguments, device="cpu", record_tape=False)
-
-    in_chunks(draw, height, ROWS, executor)
-    in_chunks(refine, height, ROWS, executor)
+    _launch(kernels.draw, (height, width), [world, eye], seen, executor)
+    _launch(kernels.refine, (height, width), [world, eye], [pattern, *seen, *written], executor)
     return Picture(pixels, share)
 
 
-def render_depth(
-    stage: Stage, camera: Camera, only: int = -1, executor: Executor | None = None
-) -> NDArray[np.float32]:
+def render_depth(stage: Stage, camera: Camera, only: int = -1) -> NDArray[np.float32]:
     """z-depth [H, W] [m] at the pixel centres, infinite in the sky."""
     depth = np.empty((camera.height, camera.width), np.float32)
-    inputs = (stage.world, stage.poses(camera.time), _eye(camera), only)
     output = wp.array(depth, device="cpu", copy=False)
-
-    def run(first: int, count: int) -> None:
-        arguments = [*inputs, first, output]
-        wp.launch(raycast.measure_depth, (count, camera.width), arguments, device="cpu", record_tape=False)
-
-    in_chunks(run, camera.height, ROWS, executor)
+    inputs = [stage.at(camera.time), _eye(camera, only)]
+    _launch(kernels.measure_depth, depth.shape, inputs, [output], None)
     return depth
 
 
-def _eye(camera: Camera) -> Eye:
-    eye = Eye()
+def _launch(
+    kernel: wp.Kernel, shape: tuple[int, ...], inputs: list, outputs: list, executor: Executor | None
+) -> None:
+    """Runs a kernel over all rows: at once, or a few at a time on the threads of an executor."""
+
+    def run(first: int, count: int) -> None:
+        wp.launch(kernel, (count, shape[1]), [*inputs, first, *outputs], device="cpu", record_tape=False)
+
+    if executor is None:
+        run(0, shape[0])
+        return
+    for job in [executor.submit(run, first, min(ROWS, shape[0] - first)) for first in range(0, shape[0], ROWS)]:
+        job.result()
+
+
+def _eye(camera: Camera, only: int) -> kernels.Eye:
+    eye = kernels.Eye()
     eye.pose = wp.transform(*transforms(camera.world_from_camera[None]).numpy()[0])
     eye.fx, eye.fy = float(camera.K[0, 0]), float(camera.K[1, 1])
     eye.cx, eye.cy = float(camera.K[0, 2]), float(camera.K[1, 2])
-    eye.column, eye.row = 0, 0
+    eye.only = only
     return eye

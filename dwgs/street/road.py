@@ -1,10 +1,12 @@
 """The ground: carriageway with its paint, kerbs, pavements, lamps and signs."""
 
+from itertools import pairwise
+
 import numpy as np
 import trimesh
 
 from dwgs.street.material import ASPHALT, GRASS, GROUND, SLABS, Material, Palette
-from dwgs.street.shape import Shape, box, ellipsoid, pole
+from dwgs.street.shape import Shape, box, ellipsoid, grid_surface, pole
 
 LANE = 3.4
 """Width of a lane [m]. The ego lane is centred on y = 0, the next lane to the left on 3.4, oncoming traffic on 6.8."""
@@ -19,10 +21,27 @@ PAINT_HEIGHT = 0.004
 """Paint lies on the asphalt [m]."""
 
 
+LONGEST = 12.0
+"""Strips are cut into pieces [m]: a triangle as long as the street would lie in the way of every ray's search."""
+
+
 def rectangle(x: tuple[float, float], y: tuple[float, float], z: float, material: int) -> Shape:
     """A level rectangle [m], facing up."""
-    corners = np.array([[x[0], y[0], z], [x[1], y[0], z], [x[1], y[1], z], [x[0], y[1], z]])
-    return Shape.of(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False), material)
+    count = max(1, int(np.ceil((x[1] - x[0]) / LONGEST)))
+    edges = np.linspace(*x, count + 1)
+    points = np.array([[[a, b, z] for b in y] for a in edges])
+    return grid_surface(points, np.full((count, 1), material))
+
+
+def kerb(x: tuple[float, float], y: tuple[float, float], material: int) -> Shape:
+    """A row of kerb stones [m]."""
+    edges = np.linspace(*x, int(np.ceil((x[1] - x[0]) / LONGEST)) + 1)
+    ring = [(y[0], -0.05), (y[0], KERB_HEIGHT), (y[1], KERB_HEIGHT), (y[1], -0.05)]
+    sides = [
+        grid_surface(np.array([[[a, *p], [a, *q]] for a in edges]), np.full((len(edges) - 1, 1), material))
+        for p, q in pairwise(ring)
+    ]
+    return Shape.join(sides)
 
 
 def build_road(palette: Palette, start: float, stop: float) -> Shape:
@@ -36,8 +55,8 @@ def build_road(palette: Palette, start: float, stop: float) -> Shape:
     right, left = RIGHT_KERB, LEFT_KERB
     pieces = [
         rectangle((start, stop), (right, left), 0.0, asphalt),
-        box((start, right - 0.15, -0.3), (stop, right, KERB_HEIGHT), stone),
-        box((start, left, -0.3), (stop, left + 0.15, KERB_HEIGHT), stone),
+        kerb((start, stop), (right - 0.15, right), stone),
+        kerb((start, stop), (left, left + 0.15), stone),
         rectangle((start, stop), (right - 20, right - 0.15), KERB_HEIGHT, slabs),
         rectangle((start, stop), (left + 0.15, left + 20), KERB_HEIGHT, slabs),
         rectangle((start - 300, stop + 600), (-600, 600), -0.12, grass),

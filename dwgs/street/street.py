@@ -21,7 +21,7 @@ from dwgs.scene import (
     VehiclePoints,
 )
 from dwgs.scene.pose import pose
-from dwgs.street import raycast
+from dwgs.street import kernels
 from dwgs.street.car import sample_surface
 from dwgs.street.drive import PERIOD, ego_trajectory, inserted_trajectory
 from dwgs.street.lidar import take_sweep
@@ -95,8 +95,8 @@ class Street:
     @cached_property
     def _sweeps(self) -> tuple[LidarSweep, ...]:
         with ThreadPoolExecutor(2) as executor:
-            take = partial(take_sweep, self.stage, self.ego, seed=self.seed)
-            return tuple(executor.map(take, range(self.frames)))
+            jobs = [executor.submit(take_sweep, self.stage, self.ego, i, self.seed) for i in range(self.frames)]
+            return tuple(job.result() for job in jobs)
 
     @property
     def _tracks(self) -> tuple[Track, ...]:
@@ -176,7 +176,7 @@ def build_street(seed: int = 0, frames: int = 193, width: int = 720, height: int
         raise InputError(f"a street has at least one frame and one pixel, got {frames} of {width}x{height}")
     wp.config.quiet = True
     wp.init()
-    wp.load_module(raycast, device="cpu", recursive=False)
+    wp.load_module(kernels, device="cpu", recursive=False)
     plan = draw_plan(seed, frames)
     flat = np.cos(SUN_ELEVATION)
     sun = np.array([flat * np.cos(SUN_AZIMUTH), flat * np.sin(SUN_AZIMUTH), np.sin(SUN_ELEVATION)])

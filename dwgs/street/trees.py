@@ -44,7 +44,7 @@ def build_tree(palette: Palette, rng: np.random.Generator) -> Shape:
 
 def _lump(material: int, centre: np.ndarray, radius: float, rng: np.random.Generator) -> Shape:
     """A ball beaten out of shape: swells and dents by waves of random directions."""
-    ball = trimesh.creation.icosphere(subdivisions=3)
+    ball = trimesh.creation.icosphere(subdivisions=2)
     waves = rng.normal(size=(10, 3)) * np.linspace(2, 9, 10)[:, None]
     phases = rng.uniform(0, 2 * np.pi, 10)
     dents = np.sin(ball.vertices @ waves.T + phases) @ np.linspace(0.10, 0.035, 10)

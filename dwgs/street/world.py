@@ -1,7 +1,5 @@
 """The street on the device: meshes with their trees of boxes, the palette, and who moves."""
 
-from collections.abc import Callable
-from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,18 +47,17 @@ class Stage:
         world.looks, world.sun, world.seed = self.world.looks, self.world.sun, self.world.seed
         return Stage(world, shapes, meshes, self.parked, (*self.movers, vehicle))
 
-    def poses(self, times: ArrayLike) -> wp.array:
-        """Poses of the bodies [bodies, moments] at the given times [s]; the first stands at the origin."""
+    def at(self, times: ArrayLike) -> World:
+        """The world with everyone where they are at the given times [s], in the order of moments."""
         times = np.atleast_1d(np.asarray(times, np.float64))
         still = np.broadcast_to(np.eye(4), (len(times), 4, 4))
-        return transforms(np.stack([still, *(m.trajectory.at(times) for m in self.movers)]))
-
-    def contacts(self, time: float) -> tuple[wp.array, wp.array]:
-        """Poses and half sizes [m] of all vehicles at a time [s]."""
         vehicles = self.parked + self.movers
-        poses = [v.trajectory.at(time) for v in vehicles]
-        halves = [np.asarray(v.size) / 2 for v in vehicles]
-        return transforms(np.reshape(poses, (-1, 4, 4))), _vectors(np.reshape(halves, (-1, 3)))
+        contacts = [v.trajectory.at(times[0]) for v in vehicles]
+        world = _renewed(self.world)
+        world.poses = transforms(np.stack([still, *(m.trajectory.at(times) for m in self.movers)]))
+        world.contacts = transforms(np.reshape(contacts, (-1, 4, 4)))
+        world.halves = _vectors(np.reshape([v.size for v in vehicles], (-1, 3)) / 2)
+        return world
 
 
 def build_stage(
@@ -87,15 +84,6 @@ def transforms(a_from_b: NDArray) -> wp.array:
     return wp.array(rows, dtype=wp.transform, device="cpu")
 
 
-def in_chunks(run: Callable[[int, int], None], rows: int, size: int, executor: Executor | None) -> None:
-    """Calls ``run(first, count)`` over all rows: at once, or in pieces on the threads of an executor."""
-    if executor is None:
-        run(0, rows)
-        return
-    for job in [executor.submit(run, first, min(size, rows - first)) for first in range(0, rows, size)]:
-        job.result()
-
-
 def _mesh(shape: Shape) -> wp.Mesh:
     indices = wp.array(np.arange(3 * len(shape), dtype=np.int32), dtype=int, device="cpu")
     return wp.Mesh(_vectors(shape.corners), indices, bvh_constructor="sah")
@@ -105,9 +93,8 @@ def _world(shapes: tuple[Shape, ...], meshes: tuple[wp.Mesh, ...]) -> World:
     bodies, first_face = [], 0
     for shape, mesh in zip(shapes, meshes, strict=True):
         body = Body()
-        low, high = shape.bounds
         body.mesh, body.first_face = mesh.id, first_face
-        body.low, body.high = wp.vec3(*(low - 0.01)), wp.vec3(*(high + 0.01))
+        body.radius = float(np.linalg.norm(shape.corners, axis=-1).max()) + 0.01
         bodies.append(body)
         first_face += len(shape)
     world = World()
@@ -119,3 +106,11 @@ def _world(shapes: tuple[Shape, ...], meshes: tuple[wp.Mesh, ...]) -> World:
 
 def _vectors(rows: NDArray) -> wp.array:
     return wp.array(np.ascontiguousarray(rows, np.float32).reshape(-1, 3), dtype=wp.vec3, device="cpu")
+
+
+def _renewed(world: World) -> World:
+    """The same arrays in another struct, so that threads can point theirs at different moments."""
+    other = World()
+    for name in ("bodies", "corner_normals", "look_of_face", "looks", "sun", "seed"):
+        setattr(other, name, getattr(world, name))
+    return other
