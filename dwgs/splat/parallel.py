@@ -1,54 +1,60 @@
 """Warp launches on several CPU threads.
 
-Warp's CPU launches are serial loops that release the GIL. A kernel made for this takes ``first`` as its first argument
-and works on item ``first + wp.tid()``; items are independent, so results do not depend on the number of threads.
-Such kernels use no atomics and no tiles: on a CPU neither is safe in threads.
+Warp's CPU launches are serial loops that release the GIL. A kernel made for this takes ``first`` as its first
+argument and works on item ``first + wp.tid()``; items are independent, so results do not depend on the
+number of threads. Such kernels use no atomics and no tiles: on a CPU neither is safe in threads.
 """
 
+import itertools
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import warp as wp
 
-from dwgs.splat.kernels import bin, composite_cpu, gather, project
+from dwgs.splat.kernels import bin, composite_cpu, composite_cuda, gather, project
 
-wp.init()
+CHUNKS_PER_THREAD = 4
+"""Threads take chunks as they come, so one slow thread does not hold up the rest."""
+_GRAIN = 4096
+"""Items that are worth handing to another thread."""
 
-_MODULES = (bin, composite_cpu, gather, project)
-_CHUNKS_PER_THREAD = 4
+_MODULES = {"cpu": (project, bin, composite_cpu, gather), "cuda": (project, bin, composite_cuda, gather)}
 _loaded: set[str] = set()
 _loading = threading.Lock()
 _pool = ThreadPoolExecutor(max_workers=16, thread_name_prefix="splat")
 
+wp.init()
+
 
 def load(device: wp.Device) -> None:
-    """Compile or load every kernel for ``device``: concurrent loads lose kernels, so this happens once, alone."""
+    """Compile or load every kernel for ``device``: loads at the same time lose kernels, so once, alone."""
     if device.alias not in _loaded:
         with _loading:
-            for module in _MODULES:
+            for module in _MODULES["cpu" if device.is_cpu else "cuda"]:
                 wp.load_module(module.__name__, device=device)
             _loaded.add(device.alias)
 
 
 def launch(
-    kernel: wp.Kernel, items: int | Sequence[int], inputs: Sequence, device: wp.Device, threads: int
+    kernel: Any, items: int | Sequence[int], inputs: Sequence, device: wp.Device, threads: int
 ) -> None:
     """Run ``kernel`` over ``items``: their number, or the bounds [0, ..., number] of chunks of equal work."""
-    bounds = (0, items) if isinstance(items, int) else tuple(items)
-    count = bounds[-1]
-    if count == 0:
-        return
-    if threads <= 1 or not device.is_cpu:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, record_tape=False)
-        return
     if isinstance(items, int):
-        chunks = min(threads * _CHUNKS_PER_THREAD, count)
-        bounds = [count * k // chunks for k in range(chunks + 1)]
-    spans = iter([(a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True) if a < b])
+        chunks = max(1, min(threads * CHUNKS_PER_THREAD, items // _GRAIN))
+        bounds = [items * k // chunks for k in range(chunks + 1)]
+    else:
+        bounds = list(items)
+    if bounds[-1] == 0:
+        return
+    if threads <= 1 or len(bounds) == 2 or not device.is_cpu:
+        wp.launch(kernel, dim=bounds[-1], inputs=[0, *inputs], device=device, record_tape=False)
+        return
+    spans = iter([(a, b) for a, b in itertools.pairwise(bounds) if a < b])  # each span goes to one thread
 
-    def work(command: wp.Launch) -> None:
-        for begin, end in spans:  # the iterator of a list hands each span to one thread
+    def work(command: Any) -> None:
+        for begin, end in spans:
             command.set_param_at_index(0, begin)
             command.set_dim(end - begin)
             command.launch()

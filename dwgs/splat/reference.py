@@ -1,6 +1,6 @@
 """The specification: the same image in plain torch, dense, float64, differentiated by autograd.
 
-Every Gaussian meets every pixel, so memory grows with N x H x W. Nothing here is shared with the kernels but the rules.
+Every Gaussian meets every pixel, so memory grows with N x H x W. Only the rules are shared with the kernels.
 """
 
 from dataclasses import fields
@@ -39,7 +39,7 @@ def render(splats: Splats, view: View, layers: Layers | None = None) -> Renderin
 
 
 def borderline(splats: Splats, view: View, layers: Layers | None = None, margin: float = 1e-3) -> Tensor:
-    """[H, W] whether a Gaussian comes within a relative ``margin`` of a rule that switches: cut, clamp or stop.
+    """[H, W] whether a Gaussian comes within a relative ``margin`` of a switching rule: cut, clamp or stop.
 
     There the image or its gradient jumps, and float32 may fall on the other side.
     """

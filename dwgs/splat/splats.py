@@ -48,7 +48,9 @@ class Splats:
     @staticmethod
     def from_gaussians(gaussians: Gaussians, device: torch.device | str = "cpu") -> "Splats":
         """Copies of the arrays, on ``device``."""
-        return Splats(*(torch.tensor(getattr(gaussians, f.name), device=device) for f in fields(Splats)))
+        return Splats(
+            **{f.name: torch.tensor(getattr(gaussians, f.name), device=device) for f in fields(Splats)}
+        )
 
     def to_gaussians(self) -> Gaussians:
         """Detached copies, quaternions normalised."""
@@ -62,7 +64,7 @@ class Splats:
         count = max(c.sh.shape[1] for c in clouds)
         sh = torch.cat([torch.nn.functional.pad(c.sh, (0, 0, 0, count - c.sh.shape[1])) for c in clouds])
         names = ("means", "quats", "scales", "opacities")
-        return Splats(*(torch.cat([getattr(c, name) for c in clouds]) for name in names), sh)
+        return Splats(**{name: torch.cat([getattr(c, name) for c in clouds]) for name in names}, sh=sh)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,7 @@ class View:
     def from_camera(
         camera: Camera, world_from_splats: NDArray | None = None, device: torch.device | str = "cpu"
     ) -> "View":
-        """The view of ``camera`` on a cloud whose frame stands in the world at ``world_from_splats`` [4, 4]."""
+        """What ``camera`` sees of a cloud that stands at ``world_from_splats`` [4, 4] (default: world)."""
         viewmat = camera.camera_from_world
         if world_from_splats is not None:
             viewmat = viewmat @ world_from_splats
@@ -94,12 +96,13 @@ class View:
     @property
     def tiles(self) -> tuple[int, int]:
         """Tiles across and down."""
-        return -(-self.width // TILE), -(-self.height // TILE)
+        height, width = whole_tiles(self.height, self.width)
+        return width // TILE, height // TILE
 
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """A frozen scene cut in two by centre depth: what lies before, and what lies behind, the Gaussians to come."""
+    """A frozen scene cut in two by centre depth: what lies in front of the Gaussians to come, and behind."""
 
     front_rgb: Tensor
     """[H, W, 3] premultiplied."""
@@ -130,7 +133,7 @@ class Projected:
     """Gaussians as one image sees them, one record each; not drawn where the radii are zero."""
 
     records: Tensor
-    """[N, 12]: mean x, y [px]; conic xx, xy, yy [px^-2]; opacity; r, g, b; centre depth z [m]; extent x, y [px].
+    """[N, 12] mean x, y [px]; conic xx, xy, yy [px^-2]; opacity; r, g, b; depth z [m]; extent x, y [px].
 
     Gradients flow through the first ten; the extent reaches exactly to alpha = 1/255.
     """
@@ -187,8 +190,21 @@ class Rendering:
 def planes(rgb: Tensor, depth: Tensor, last: Tensor) -> Tensor:
     """[5, H', W'] contiguous float32 from [H, W, 3], [H, W], [H, W]: whole tiles, zeros outside the image."""
     height, width = depth.shape
-    out = torch.zeros(5, -(-height // TILE) * TILE, -(-width // TILE) * TILE, device=rgb.device)
+    out = torch.empty(5, *whole_tiles(height, width), device=rgb.device)
+    write_planes(out, rgb, depth, last)
+    return out
+
+
+def write_planes(out: Tensor, rgb: Tensor, depth: Tensor, last: Tensor) -> None:
+    """The same into ``out``."""
+    height, width = depth.shape
+    out[:, height:] = 0
+    out[:, :, width:] = 0
     out[:3, :height, :width] = rgb.permute(2, 0, 1)
     out[3, :height, :width] = depth
     out[4, :height, :width] = last
-    return out
+
+
+def whole_tiles(height: int, width: int) -> tuple[int, int]:
+    """Both rounded up [px]."""
+    return -(-height // TILE) * TILE, -(-width // TILE) * TILE

@@ -25,8 +25,8 @@ def gradients(rendering: Rendering, tensors: list[Tensor], weight: Tensor) -> tu
     """Of a loss that looks at every output with random weights, nowhere where ``weight`` [H, W] is 0."""
     random = torch.Generator().manual_seed(7)
     outputs = (rendering.rgb, rendering.depth[..., None], rendering.alpha[..., None])
-    loss = sum((o * torch.randn(o.shape, generator=random) * weight[..., None]).sum() for o in outputs)
-    return torch.autograd.grad(loss, tensors)
+    losses = [(o * torch.randn(o.shape, generator=random) * weight[..., None]).sum() for o in outputs]
+    return torch.autograd.grad(torch.stack(losses).sum(), tensors)
 
 
 def relative(a: Tensor, b: Tensor) -> float:

@@ -1,7 +1,9 @@
+# type: ignore  (Warp's language, which is not Python's)
 """Which Gaussians touch which tile, nearest first.
 
-An intersection is one Gaussian in one tile. Intersections are emitted in order of depth, so a stable sort by tile alone
-leaves each tile sorted by depth; and all intersections of one Gaussian lie side by side, which `gather` lives on.
+An intersection is one Gaussian in one tile. Intersections are emitted in order of depth, so a stable sort
+by tile alone leaves each tile sorted by depth; and those of one Gaussian lie side by side, which `gather`
+lives on.
 """
 
 import warp as wp
@@ -58,7 +60,7 @@ def count_tiles(
     """Number of tiles each Gaussian touches, by rank in depth."""
     rank = first + wp.tid()
     record = records[gaussian_from_rank[rank]]
-    count = int(0)
+    count = int(0)  # noqa: RUF046, UP018  (a variable, not a constant)
     if record[10] > 0.0:
         across = tile_span(record[0], record[10], tiles[0])
         down = tile_span(record[1], record[11], tiles[1])
@@ -80,7 +82,7 @@ def emit(
 ):
     """Write the intersections of each Gaussian: tile, own index, Gaussian."""
     rank = first + wp.tid()
-    isect = int(0)
+    isect = int(0)  # noqa: RUF046, UP018  (a variable, not a constant)
     if rank > 0:
         isect = ends[rank - 1]
     if isect < ends[rank]:

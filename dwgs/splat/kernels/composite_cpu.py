@@ -1,23 +1,25 @@
+# type: ignore  (Warp's language, which is not Python's)
 """The two compositing loops on a CPU: one task per 16x16 tile, one vector register per row of 16 pixels.
 
-Native snippets, because Warp's own scalar loops run an order of magnitude slower here. Both begin with the same text,
-so that forward and adjoint see bit-equal alphas and transmittances.
-
-    w_i = T_i alpha_i,   T_{i+1} = T_i - w_i,   image = front + sum_i w_i c_i + T_end back
-
-Images are [5, H', W'] planes of whole tiles: r, g, b, depth, alpha. Alpha is composited like a colour of 1.
+Native snippets, because Warp's own scalar loops run an order of magnitude slower here. Both begin with the
+same text, so that forward and adjoint see bit-equal alphas and transmittances.
 """
 
 import warp as wp
 
 from dwgs.splat.constants import MAX_ALPHA, MIN_ALPHA, STOP_TRANSMITTANCE
 from dwgs.splat.kernels.bin import Bins
+from dwgs.splat.kernels.canvas import Canvas
 from dwgs.splat.kernels.gather import slot10
 from dwgs.splat.kernels.project import record12
 
 wp.set_module_options({"enable_backward": False})
 
+SLOTS = 1
+"""Gradients per intersection: one task sees the whole tile."""
+
 _PRELUDE = f"""
+    #pragma clang fp contract(on)
     typedef float row __attribute__((vector_size(64)));
     typedef float loose __attribute__((vector_size(64), aligned(4)));
     typedef int mask __attribute__((vector_size(64)));
@@ -45,9 +47,10 @@ _PRELUDE = f"""
         return (h[0] | h[1] | h[2] | h[3]) != 0;
     }};
 
-    // exp(8 u) for u in [-0.7, 0], which the cut at 1/255 never leaves: a polynomial fitted to exp there, relative
-    // error 1e-7, raised to the eighth power
+    // exp(8 u) for u in [-0.7, 0], which the cut at 1/255 never leaves: the eighth power of a polynomial
+    // fitted to exp there, good to 1e-7 (its Taylor series would be good to 1e-4)
     auto exp8 = [&](row u) -> row {{
+        #pragma clang fp contract(on)
         const row low = zero - 0.7f;
         u = u > low ? u : low;
         u = u < zero ? u : zero;
@@ -126,7 +129,7 @@ _FORWARD = f"""
 
 _ADJOINT = f"""
 {_PRELUDE}
-    // What the light that still comes will bring to the loss: known in full at the start, spent Gaussian by Gaussian.
+    // what the light still to come brings to the loss: known in full at the start, spent Gaussian by Gaussian
     row rest[16], v[16][5];
     for (int y = 0; y < rows; ++y) {{
         rest[y] = zero;
@@ -188,24 +191,11 @@ _ADJOINT = f"""
 """
 
 
-@wp.struct
-class Canvas:
-    """Where Gaussians are drawn: size [px], tiles across, and, where ``layered``, what lies before and behind."""
-
-    width: int
-    height: int
-    tiles_across: int
-    layered: int
-    front: wp.array(dtype=float)
-    back: wp.array(dtype=float)
-
-
 @wp.func_native(_FORWARD)
 def draw_tile(
     tile: int, canvas: Canvas, bins: Bins, records: wp.array(dtype=record12), image: wp.array(dtype=float)
 ):
     """Draw one tile of the image."""
-    ...
 
 
 @wp.func_native(_ADJOINT)
@@ -220,7 +210,6 @@ def draw_tile_adjoint(
     slots: wp.array(dtype=slot10),
 ):
     """Write the slot of each intersection of one tile."""
-    ...
 
 
 @wp.kernel

@@ -1,4 +1,5 @@
-"""Gradients of intersections to gradients of Gaussians, without atomics: deterministic, and safe in threads."""
+# type: ignore  (Warp's language, which is not Python's)
+"""Gradients of intersections to gradients of Gaussians, without atomics: deterministic, safe in threads."""
 
 import warp as wp
 
@@ -20,11 +21,11 @@ def gather(
     # outputs
     v_records: wp.array(dtype=record12),
 ):
-    """Sum the slots of each Gaussian, ``parts`` per intersection; Gaussians past the end of ``v_records`` are frozen."""
+    """Sum the slots of each Gaussian, ``parts`` per intersection; those beyond ``v_records`` are frozen."""
     rank = first + wp.tid()
     gaussian = gaussian_from_rank[rank]
     if gaussian < v_records.shape[0]:
-        begin = int(0)
+        begin = int(0)  # noqa: RUF046, UP018  (a variable, not a constant)
         if rank > 0:
             begin = ends[rank - 1]
         total = slot10()

@@ -1,6 +1,7 @@
+# type: ignore  (Warp's language, which is not Python's)
 """Gaussians to image records: EWA splatting (Zwicker et al. 2001) as in 3DGS, forward and adjoint.
 
-Forward and adjoint share `footprint`, so both see the same numbers. Guards are phrased positively: NaN fails them.
+Guards are phrased positively: NaN fails them. Names with ``v_`` are gradients of the loss by what they name.
 """
 
 import warp as wp
@@ -33,7 +34,7 @@ class Cloud:
 
 @wp.struct
 class Lens:
-    """The camera: ``viewmat`` holds one camera_from_splats, read on the device; intrinsics are fx, fy, cx, cy [px]."""
+    """The camera: ``viewmat`` [1] is camera_from_splats, intrinsics are fx, fy, cx, cy [px]."""
 
     viewmat: wp.array(dtype=wp.mat44)
     intrinsics: wp.vec4
@@ -209,7 +210,7 @@ def project_adjoint(
                 if record[6 + channel] <= 0.0:
                     v_color[channel] = 0.0
             direction = wp.vec3()
-            distance = float(1.0)
+            distance = float(1.0)  # noqa: UP018  (a variable, not a constant)
             if count > 1:
                 ray = mean + Rt @ t
                 distance = wp.length(ray)
@@ -248,8 +249,8 @@ def project_adjoint(
             # centre
             u = p[0] * rz
             w = p[1] * rz
-            v_u = fx * (v[0])
-            v_w = fy * (v[1])
+            v_u = fx * v[0]
+            v_w = fy * v[1]
             if wp.abs(u) < MAX_TANGENT:
                 v_u -= fx * rz * v_J[0, 2]
             if wp.abs(w) < MAX_TANGENT:

@@ -1,3 +1,4 @@
+# type: ignore  (Warp's language, which is not Python's)
 """Real spherical harmonics to degree 3, and their gradient by direction."""
 
 import warp as wp

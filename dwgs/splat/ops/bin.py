@@ -1,6 +1,7 @@
 """Records to tiles. Nothing here is differentiable; the adjoint of compositing reuses it."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 import warp as wp
@@ -8,6 +9,7 @@ from torch import Tensor
 
 from dwgs.splat.kernels import bin as kernels
 from dwgs.splat.kernels.project import record12
+from dwgs.splat.ops.scratch import scratch
 from dwgs.splat.parallel import launch
 from dwgs.splat.splats import View
 
@@ -33,10 +35,10 @@ class Binned:
     def chunks(self, count: int) -> list[int]:
         """Bounds of ``count`` runs of tiles that hold about equal work."""
         work = (self.ranges[:, 1] - self.ranges[:, 0] + _EMPTY_TILE).cumsum(0)
-        shares = torch.arange(1, count) * (int(work[-1]) / count)
+        shares = torch.arange(1, count, device=work.device) * (int(work[-1]) / count)
         return [0, *torch.searchsorted(work, shares).tolist(), len(work)]
 
-    def to_warp(self) -> kernels.Bins:
+    def to_warp(self) -> Any:
         """The same arrays for the compositing kernels."""
         bins = kernels.Bins()
         bins.ranges = wp.from_torch(self.ranges, dtype=wp.vec2i)
@@ -47,34 +49,33 @@ class Binned:
 
 def bin(records: Tensor, view: View, threads: int) -> Binned:
     """Sort the records [N, 12] by depth, cut them by tile."""
-    n = len(records)
-    device, where = wp.device_from_torch(records.device), records.device
+    n, where = len(records), records.device
+    device = wp.device_from_torch(where)
     tiles_across, tiles_down = view.tiles
     tiles = wp.vec2i(tiles_across, tiles_down)
-    integer = {"dtype": torch.int32, "device": where}
-    warp_records = wp.from_torch(records, dtype=record12, return_ctype=True)
+    in_records = wp.from_torch(records, dtype=record12, return_ctype=True)
 
-    keys = wp.from_torch(torch.empty(2 * n, device=where))
-    ranked = torch.empty(2 * n, **integer)
-    gaussian_from_rank = wp.from_torch(ranked)
-    launch(kernels.depth_keys, n, [warp_records, keys, gaussian_from_rank], device, threads)
-    wp.utils.radix_sort_pairs(keys, gaussian_from_rank, n)
+    # the radix sorts want room for twice what they sort
+    keys = wp.from_torch(scratch("depth", 2 * n, torch.float32, where))
+    ranked = scratch("ranked", 2 * n, torch.int32, where)
+    order = wp.from_torch(ranked)
+    launch(kernels.depth_keys, n, [in_records, keys, order], device, threads)
+    wp.utils.radix_sort_pairs(keys, order, n)
 
-    ends = torch.empty(n, **integer)
-    warp_ends = wp.from_torch(ends)
-    launch(kernels.count_tiles, n, [warp_records, gaussian_from_rank, tiles, warp_ends], device, threads)
-    wp.utils.array_scan(warp_ends, warp_ends, inclusive=True)
+    ends = torch.empty(n, dtype=torch.int32, device=where)
+    in_ends = wp.from_torch(ends)
+    launch(kernels.count_tiles, n, [in_records, order, tiles, in_ends], device, threads)
+    wp.utils.array_scan(in_ends, in_ends, inclusive=True)
     m = int(ends[-1]) if n else 0
 
-    tile_keys = wp.from_torch(torch.empty(2 * m, **integer))
-    sorted_isects = torch.empty(2 * m, **integer)
-    warp_isects = wp.from_torch(sorted_isects)
-    gaussian_from_isect = torch.empty(m, **integer)
-    out = [tile_keys, warp_isects, wp.from_torch(gaussian_from_isect)]
-    launch(kernels.emit, n, [warp_records, gaussian_from_rank, warp_ends, tiles, *out], device, threads)
-    wp.utils.radix_sort_pairs(tile_keys, warp_isects, m, 0, (tiles_across * tiles_down - 1).bit_length())
+    tile_keys = wp.from_torch(scratch("tile", 2 * m, torch.int32, where))
+    isects = scratch("isect", 2 * m, torch.int32, where)
+    sorted_isects = wp.from_torch(isects)
+    gaussian_from_isect = torch.empty(m, dtype=torch.int32, device=where)
+    outputs = [tile_keys, sorted_isects, wp.from_torch(gaussian_from_isect)]
+    launch(kernels.emit, n, [in_records, order, in_ends, tiles, *outputs], device, threads)
+    wp.utils.radix_sort_pairs(tile_keys, sorted_isects, m, 0, (tiles_across * tiles_down - 1).bit_length())
 
-    ranges = torch.zeros(tiles_across * tiles_down, 2, **integer)
-    inputs = [tile_keys, m, wp.from_torch(ranges, dtype=wp.vec2i)]
-    launch(kernels.find_ranges, m, inputs, device, threads)
-    return Binned(ranked[:n], ends, gaussian_from_isect, sorted_isects[:m], ranges)
+    ranges = torch.zeros(tiles_across * tiles_down, 2, dtype=torch.int32, device=where)
+    launch(kernels.find_ranges, m, [tile_keys, m, wp.from_torch(ranges, dtype=wp.vec2i)], device, threads)
+    return Binned(ranked[:n].clone(), ends, gaussian_from_isect, isects[:m].clone(), ranges)

@@ -1,18 +1,21 @@
 """Records to an image, differentiably."""
 
+from typing import Any
+
 import torch
 import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from dwgs.splat.kernels import composite_cpu, composite_cuda
+from dwgs.splat.kernels.canvas import Canvas
 from dwgs.splat.kernels.gather import gather, slot10
 from dwgs.splat.kernels.project import record12
 from dwgs.splat.ops.bin import Binned, bin
-from dwgs.splat.parallel import launch, load
-from dwgs.splat.splats import Layers, Projected, Rendering, View, planes
-
-_CHUNKS_PER_THREAD = 4
+from dwgs.splat.ops.scratch import scratch
+from dwgs.splat.ops.stream import torch_stream
+from dwgs.splat.parallel import CHUNKS_PER_THREAD, launch, load
+from dwgs.splat.splats import Layers, Projected, Rendering, View, whole_tiles, write_planes
 
 
 def composite(
@@ -20,82 +23,81 @@ def composite(
 ) -> Rendering:
     """The image of records, near over far, between the ``layers`` of a frozen scene where they are given.
 
-    Of several ``projected`` (all made with this view) the image is that of their union; a gradient flows to those that
-    require one, and the others cost less.
+    Of several ``projected`` (all made with this view) the image is that of their union; a gradient flows to
+    those that require one, and the others cost less.
     """
     parts = projected if isinstance(projected, list) else [projected]
     return Rendering(*_Composite.apply(view, layers, threads, *(p.records for p in parts)))
 
 
+_SCHEMES = {"cpu": composite_cpu, "cuda": composite_cuda}
+"""Same kernels by name, a tile being a task on the one and a block on the other."""
+
+
 class _Composite(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, view: View, layers: Layers | None, threads: int, *parts: Tensor):
-        ctx.parts = [(len(p), needs) for p, needs in zip(parts, ctx.needs_input_grad[3:], strict=True)]
-        parts = tuple(p.detach() for p in parts)
-        order = sorted(range(len(parts)), key=lambda k: not ctx.parts[k][1])  # trainable first
+    def forward(ctx: Any, view: View, layers: Layers | None, threads: int, *parts: Tensor):
+        needs = ctx.needs_input_grad[3:]
+        order = sorted(range(len(parts)), key=lambda k: not needs[k])  # trainable first
         records = parts[0].contiguous() if len(parts) == 1 else torch.cat([parts[k] for k in order])
+        records = records.detach()
         load(wp.device_from_torch(records.device))
-        binned = bin(records, view, threads)
-        tiles_across, tiles_down = view.tiles
-        image = torch.empty(5, tiles_down * 16, tiles_across * 16, device=records.device)
-        _launch_tiles("composite", view, layers, threads, binned, [_records(records), _flat(image)])
+        image = torch.empty(5, *whole_tiles(view.height, view.width), device=records.device)
+        with torch_stream(records.device):
+            binned = bin(records, view, threads)
+            _draw("composite", view, layers, threads, binned, [_records(records), _flat(image)])
         ctx.view, ctx.layers, ctx.threads, ctx.binned = view, layers, threads, binned
+        ctx.counts = [len(p) if need else 0 for p, need in zip(parts, needs, strict=True)]
         ctx.save_for_backward(records, image)
-        image = image[:, : view.height, : view.width]
-        return image[:3].permute(1, 2, 0), image[3], image[4]
+        inside = image[:, : view.height, : view.width]
+        return inside[:3].permute(1, 2, 0), inside[3], inside[4]
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, v_rgb: Tensor, v_depth: Tensor, v_alpha: Tensor):
+    def backward(ctx: Any, *grad_outputs: Tensor):  # pyright: ignore[reportIncompatibleMethodOverride]
         records, image = (t.detach() for t in ctx.saved_tensors)
         binned: Binned = ctx.binned
-        trainable = sum(n for n, needs in ctx.parts if needs)
-        v_image = planes(v_rgb, v_depth, v_alpha)
-        split = _slots_per_isect(records.device)
-        slots = torch.empty(len(binned.gaussian_from_isect) * split, 10, device=records.device)
-        warp_slots = wp.from_torch(slots, dtype=slot10, return_ctype=True)
-        inputs = [_records(records), _flat(image), _flat(v_image), trainable, warp_slots]
-        _launch_tiles("composite_adjoint", ctx.view, ctx.layers, ctx.threads, binned, inputs)
-
-        v_records = torch.empty(trainable, 12, device=records.device)
-        inputs = [
-            warp_slots,
-            wp.from_torch(binned.gaussian_from_rank, return_ctype=True),
-            wp.from_torch(binned.ends, return_ctype=True),
-            split,
-            _records(v_records),
-        ]
-        launch(gather, len(records), inputs, wp.device_from_torch(records.device), ctx.threads)
-        shares = iter(v_records.split([n for n, needs in ctx.parts if needs]))
-        return None, None, None, *(next(shares) if needs else None for _, needs in ctx.parts)
+        where, trainable = records.device, sum(ctx.counts)
+        v_image = scratch("v_image", image.numel(), torch.float32, where).view(image.shape)
+        write_planes(v_image, *grad_outputs)
+        split = _SCHEMES[where.type].SLOTS
+        slots = scratch("slots", 10 * split * len(binned.gaussian_from_isect), torch.float32, where)
+        in_slots = wp.from_torch(slots.view(-1, 10), dtype=slot10, return_ctype=True)
+        inputs = [_records(records), _flat(image), _flat(v_image), trainable, in_slots]
+        v_records = torch.empty(trainable, 12, device=where)
+        order = wp.from_torch(binned.gaussian_from_rank, return_ctype=True)
+        ends = wp.from_torch(binned.ends, return_ctype=True)
+        to_gather = [in_slots, order, ends, split, _records(v_records)]
+        with torch_stream(where):
+            _draw("composite_adjoint", ctx.view, ctx.layers, ctx.threads, binned, inputs)
+            launch(gather, len(records), to_gather, wp.device_from_torch(where), ctx.threads)
+        v_parts = v_records.split(ctx.counts)
+        return None, None, None, *(v if len(v) else None for v in v_parts)
 
 
-def _slots_per_isect(device: torch.device) -> int:
-    return composite_cuda.WARPS_PER_TILE if device.type == "cuda" else 1
-
-
-def _launch_tiles(
-    name: str, view: View, layers: Layers | None, threads: int, binned: Binned, inputs: list
+def _draw(
+    name: str, view: View, layers: Layers | None, threads: int, binned: Binned, inputs: list[Any]
 ) -> None:
-    """Run one of the two loops over the tiles, in the scheme of the device."""
-    device = wp.device_from_torch(binned.ranges.device)
-    canvas = composite_cpu.Canvas()
+    """Run one of the two loops over all tiles, in the scheme of the device."""
+    where = binned.ranges.device
+    device, scheme = wp.device_from_torch(where), _SCHEMES[where.type]
+    canvas = Canvas()
     canvas.width, canvas.height, canvas.tiles_across = view.width, view.height, view.tiles[0]
     canvas.layered = int(layers is not None)
     if layers is not None:
         canvas.front, canvas.back = wp.from_torch(layers.front.view(-1)), wp.from_torch(layers.back.view(-1))
     inputs = [canvas, binned.to_warp(), *inputs]
-    if device.is_cpu:
-        launch(
-            getattr(composite_cpu, name), binned.chunks(threads * _CHUNKS_PER_THREAD), inputs, device, threads
-        )
+    kernel = getattr(scheme, name)
+    if scheme is composite_cpu:
+        launch(kernel, binned.chunks(threads * CHUNKS_PER_THREAD), inputs, device, threads)
     else:
-        composite_cuda.launch_tiles(getattr(composite_cuda, name), len(binned.ranges), inputs, device)
+        pixels = len(binned.ranges) * composite_cuda.BLOCK
+        wp.launch(kernel, pixels, inputs, device=device, block_dim=composite_cuda.BLOCK, record_tape=False)
 
 
-def _records(records: Tensor):
-    return wp.from_torch(records.detach(), dtype=record12, return_ctype=True)
+def _records(records: Tensor) -> Any:
+    return wp.from_torch(records, dtype=record12, return_ctype=True)
 
 
-def _flat(image: Tensor):
+def _flat(image: Tensor) -> Any:
     return wp.from_torch(image.view(-1), return_ctype=True)
