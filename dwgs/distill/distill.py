@@ -11,9 +11,10 @@ from torch import Tensor
 from dwgs.distill.config import GENERATED, RECORDED, DistillConfig, Recipe
 from dwgs.distill.coverage import Coverage
 from dwgs.distill.evaluate import score, summary
-from dwgs.distill.initialize import initialize_body, initialize_shadow
+from dwgs.distill.initialize import initialize_body
 from dwgs.distill.layers import FrozenBackground, fingerprint
 from dwgs.distill.model import BoxPoses, Part, body_bounds, shadow_bounds
+from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
 from dwgs.optimize import (
     Evaluated,
@@ -27,8 +28,6 @@ from dwgs.optimize import (
     weighted_mse,
 )
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, VehicleAsset
-from dwgs.scene.pose import transform_points
-from dwgs.scene.silhouette import NEAR
 from dwgs.splat import Splats, project
 
 TAIL = 0.1
@@ -60,8 +59,7 @@ def distill(
     frozen = FrozenBackground(background, scene.all_frames())
 
     sights = find_sights(scene, frozen, insertion, recipe)
-    shadow = initialize_shadow(insertion.size, config.shadow_margin)
-    shadow = shadow[_seen_often(shadow, sights)]
+    shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
     body = initialize_body(insertion.vehicle, insertion.size, config.gaussians)
     parts = [
         Part(body, recipe.body, body_bounds(insertion.size)),
@@ -78,7 +76,8 @@ def distill(
     yield from _fit(shots, parts, poses, recipe, config)
     body, shadow = (part.finish() for part in parts)
     if poses is not None:
-        poses.interpolate([s.sight.frame.camera.time for s in shots], [not s.sight.held_out for s in shots])
+        times = np.array([shot.sight.frame.camera.time for shot in shots])
+        poses.interpolate(times, np.array([not shot.sight.held_out for shot in shots]))
     fitted = time.monotonic()
 
     report = _evaluate(shots, body, shadow, poses, config.threads)
@@ -141,28 +140,6 @@ def _photometric(rgb: Tensor, shot: Shot, recipe: Recipe, squared_errors: dict[i
     squared_errors[i] = max(mse.item(), 1e-8)
     mean = sum(squared_errors.values()) / len(squared_errors)
     return mse * float(np.clip((mean / squared_errors[i]) ** 0.5, *EVENNESS))
-
-
-def _seen_often(shadow: Gaussians, sights: list[Sight]) -> np.ndarray:
-    """[N] whether at least half the frames that could show a place on the ground have it in their region."""
-    could, does = np.zeros(len(shadow)), np.zeros(len(shadow))
-    for sight in sights:
-        if sight.held_out:
-            continue
-        region, window = sight.region, sight.region.window
-        pixels, depth = sight.camera.project(transform_points(sight.world_from_vehicle, shadow.means))
-        in_image = (
-            (depth > NEAR)
-            & (pixels >= 0).all(1)
-            & (pixels < (sight.camera.width, sight.camera.height)).all(1)
-        )
-        in_window = in_image & (pixels >= (window.x, window.y)).all(1)
-        in_window &= (pixels < (window.x + window.width, window.y + window.height)).all(1)
-        column, row = np.floor(pixels[in_window] - (window.x, window.y)).astype(int).T
-        mask = region.reactive if region.reactive.any() else region.supervised
-        could += in_image
-        does[in_window] += mask[row, column]
-    return (does > 0) & (does >= could / 2)
 
 
 def _evaluate(

@@ -1,38 +1,40 @@
-"""Where the vehicle's Gaussians begin."""
+"""Where the Gaussians of the body begin."""
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
-from dwgs.scene import Gaussians, VehiclePoints
+from dwgs.scene import Gaussians, InputError, VehiclePoints
 from dwgs.scene.pose import quat_from_rotation
+from dwgs.splat.constants import SH_C0
 
-SH_DC = 0.28209479177387814
-"""Value of the constant spherical harmonic: colour = 0.5 + SH_DC * coefficient."""
 NEIGHBOURS = 10
 """Points that say how dense the cloud is and which way it faces."""
+MIRROR = np.array([1, -1, 1], np.float32)
+"""Left is right."""
 MIRROR_DISTANCE = 0.08
 """A mirrored point further [m] than this from every measured one fills a side that nobody saw."""
-SHADOW_SPACING = 0.12
-"""Between shadow Gaussians [m]."""
-SHADOW_LIFT = 0.04
-"""Height of the shadow above the ground [m]: sorted by centre, a disc in the road would sink into it."""
 
 
 def initialize_body(vehicle: VehiclePoints, size: NDArray, count: int) -> Gaussians:
     """Discs on the vehicle's surface, at most ``count``, spaced evenly, with colours of degree 1.
 
     A scan is mirrored about the plane y = 0 where only one side was seen. Points outside the box, grown by
-    10 %, are dropped.
+    10 %, are dropped; `InputError` where that leaves none.
     """
     points, colors, normals = vehicle.points, vehicle.colors / np.float32(255), vehicle.normals
     if not vehicle.is_complete:
         points, colors, normals = _mirrored(points, colors, normals)
     inside = (np.abs(points) <= 0.55 * np.asarray(size)).all(1)
+    if not inside.any():
+        raise InputError(
+            f"a vehicle's points lie in its box of {np.round(size, 2)} m about the origin, "
+            f"none of {len(points)} does; check the unit and the origin of the points"
+        )
     chosen, colors = _thinned(points, colors, np.flatnonzero(inside), count)
     points = points[chosen]
 
-    tree = cKDTree(points)
+    tree = KDTree(points)
     neighbours = min(NEIGHBOURS, len(points))
     distances, indices = tree.query(points, neighbours)
     distances, indices = distances.reshape(len(points), -1), indices.reshape(len(points), -1)
@@ -44,7 +46,7 @@ def initialize_body(vehicle: VehiclePoints, size: NDArray, count: int) -> Gaussi
     scales = np.stack([0.7 * spacing, 0.7 * spacing, 0.7 * spacing * flatness], 1)
 
     sh = np.zeros((len(points), 4, 3), np.float32)
-    sh[:, 0] = (colors - 0.5) / SH_DC
+    sh[:, 0] = (colors - 0.5) / SH_C0
     return Gaussians(
         points.astype(np.float32),
         quat_from_rotation(axes).astype(np.float32),
@@ -54,28 +56,13 @@ def initialize_body(vehicle: VehiclePoints, size: NDArray, count: int) -> Gaussi
     )
 
 
-def initialize_shadow(size: NDArray, margin: float) -> Gaussians:
-    """Faint black discs flat on the ground, under the box and ``margin`` [m] around it."""
-    half = np.asarray(size)[:2] / 2 + margin
-    x, y = (np.arange(-h + SHADOW_SPACING / 2, h, SHADOW_SPACING) for h in half)
-    grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    n = len(grid)
-    means = np.column_stack([grid, np.full(n, SHADOW_LIFT - size[2] / 2)])
-    scales = np.tile([0.7 * SHADOW_SPACING, 0.7 * SHADOW_SPACING, 0.01], (n, 1))
-    sh = np.full((n, 1, 3), (0.03 - 0.5) / SH_DC, np.float32)
-    quats = np.tile(np.float32([1, 0, 0, 0]), (n, 1))
-    return Gaussians(
-        means.astype(np.float32), quats, scales.astype(np.float32), np.full(n, 0.05, np.float32), sh
-    )
-
-
 def _mirrored(points, colors, normals):
     """The cloud and those of its mirror images that lie where it has nothing."""
-    images = points * np.float32([1, -1, 1])
-    fresh = cKDTree(points).query(images, distance_upper_bound=MIRROR_DISTANCE)[0] > MIRROR_DISTANCE
+    images = points * MIRROR
+    fresh = KDTree(points).query(images, distance_upper_bound=MIRROR_DISTANCE)[0] > MIRROR_DISTANCE
     points, colors = np.concatenate([points, images[fresh]]), np.concatenate([colors, colors[fresh]])
     if normals is not None:
-        normals = np.concatenate([normals, normals[fresh] * np.float32([1, -1, 1])])
+        normals = np.concatenate([normals, normals[fresh] * MIRROR])
     return points, colors, normals
 
 

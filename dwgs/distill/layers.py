@@ -91,11 +91,11 @@ def fingerprint(background: Background) -> str:
     digest = hashlib.sha256()
     g = background.gaussians
     for array in (g.means, g.quats, g.scales, g.opacities, g.sh, background.sky):
-        digest.update(np.ascontiguousarray(array))
+        digest.update(array.tobytes())
     for key in sorted(background.exposure):
-        digest.update(np.ascontiguousarray(background.exposure[key]))
+        digest.update(background.exposure[key].tobytes())
     for key in sorted(background.poses):
-        digest.update(np.ascontiguousarray(background.poses[key]))
+        digest.update(background.poses[key].tobytes())
     return digest.hexdigest()
 
 

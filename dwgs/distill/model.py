@@ -1,6 +1,5 @@
 """The vehicle while it is learnt: body and shadow, each kept in its place, and the poses of its box."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -102,12 +101,11 @@ class BoxPoses:
             self._parameters.rotations.clamp_(-MAX_ROTATION, MAX_ROTATION)
             self._parameters.translations.clamp_(-MAX_TRANSLATION, MAX_TRANSLATION)
 
-    def interpolate(self, times: Sequence[float], is_known: Sequence[bool]) -> None:
+    def interpolate(self, times: NDArray[np.float64], is_known: NDArray[np.bool_]) -> None:
         """Fill in the poses at ``times`` [s] that are not known, linearly between those that are."""
-        times, is_known = np.asarray(times), np.asarray(is_known)
         known = np.flatnonzero(is_known)[np.argsort(times[is_known])]
         with torch.no_grad():
             for values in (self._parameters.rotations, self._parameters.translations):
                 for axis in range(3):
                     filled = np.interp(times[~is_known], times[known], values[known, axis].numpy())
-                    values[~is_known, axis] = torch.from_numpy(filled.astype(np.float32))
+                    values[torch.from_numpy(~is_known), axis] = torch.from_numpy(filled.astype(np.float32))

@@ -113,7 +113,7 @@ def _dilated(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
         return mask
     window = _window_around(mask, int(radius) + 1)
     dilated = np.zeros_like(mask)
-    window.of(dilated)[:] = distance_transform_edt(~window.of(mask)) <= radius
+    window.of(dilated)[:] = np.asarray(distance_transform_edt(~window.of(mask))) <= radius
     return dilated
 
 

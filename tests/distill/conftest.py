@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from dwgs.distill.initialize import SH_DC
 from dwgs.scene import Background, Camera, Frame, Gaussians, Insertion, Scene, Trajectory, VehiclePoints
 from dwgs.scene.pose import pose, transform_points, yaw_rotation
 from dwgs.scene.silhouette import box_silhouette
 from dwgs.scene.sky import sky_image
 from dwgs.splat import Splats, View, render
+from dwgs.splat.constants import SH_C0
 
 WIDTH, HEIGHT, FRAMES = 96, 64, 12
 SIZE = np.array([4.0, 1.8, 1.5])
@@ -19,7 +19,7 @@ CAMERA_AXES = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], float)
 
 
 def flat_colors(colors):
-    return ((np.asarray(colors) - 0.5) / SH_DC)[:, None].astype(np.float32)
+    return ((np.asarray(colors) - 0.5) / SH_C0)[:, None].astype(np.float32)
 
 
 def cloud(means, colors, scales, opacity=0.9):
@@ -96,7 +96,6 @@ def toy():
     background = Background(cloud(ground, greys, [0.3, 0.3, 0.02]), sky)
 
     points, normals = box_surface(rng, 6000)
-    points[:, 2] += 0  # the box centre is the origin
     truth = cloud(points, paint(points), [0.05, 0.05, 0.05])
     vehicle = VehiclePoints(
         np.float32(points), np.full((6000, 3), 128, np.uint8), np.float32(normals), is_complete=True

@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+import torch
+from conftest import SIZE
+
+from dwgs.distill.lidar import LidarDepths, carried_depths, static_depths
+from dwgs.distill.region import find_region
+from dwgs.scene import LidarSweep
+from dwgs.scene.pose import transform_points
+from dwgs.splat import Rendering
+
+
+def sweep_of(points, times=None, time=0.5):
+    points = np.asarray(points, np.float32)
+    times = np.full(len(points), time) if times is None else np.asarray(times, float)
+    return LidarSweep(points, times, np.zeros(3), time, 5)
+
+
+def at_pixel(camera, column, row, depth):
+    ray = np.linalg.inv(camera.K) @ [column + 0.5, row + 0.5, 1]
+    return transform_points(camera.world_from_camera, depth * ray[None])[0]
+
+
+@pytest.fixture
+def sight(toy):
+    frame = toy.frame(5)
+    pose = toy.insertion.trajectory.at(frame.camera.time)
+    return frame, pose, find_region(frame, frame.camera, pose, toy.insertion, ())
+
+
+def test_static_returns_count_in_the_rim_alone(sight):
+    frame, _, region = sight
+    inside = np.argwhere(region.reactive)[0] + [region.window.y, region.window.x]
+    rim = np.argwhere(region.supervised & ~region.reactive)[0] + [region.window.y, region.window.x]
+    points = [at_pixel(frame.camera, column, row, 9.0) for row, column in (inside, rim)]
+    depths = static_depths(sweep_of(points), frame.camera, region)
+    assert depths is not None
+    row, column = rim - [region.window.y, region.window.x]
+    assert depths.pixels.tolist() == [row * region.window.width + column]
+    assert depths.depths.tolist() == pytest.approx([9.0])
+    assert static_depths(sweep_of(points[:1]), frame.camera, region) is None
+
+
+def test_the_nearest_return_of_a_pixel_counts(sight):
+    frame, _, region = sight
+    row, column = np.argwhere(region.supervised & ~region.reactive)[0] + [region.window.y, region.window.x]
+    points = [at_pixel(frame.camera, column, row, depth) for depth in (9.0, 7.0, 8.0)]
+    depths = static_depths(sweep_of(points), frame.camera, region)
+    assert depths is not None
+    assert depths.depths.tolist() == pytest.approx([7.0])
+
+
+def test_returns_on_a_recorded_car_drive_with_it_to_the_cameras_time(toy):
+    frame = toy.frame(5, is_generated=False)
+    trajectory = toy.insertion.trajectory
+    world_from_vehicle = trajectory.at(frame.camera.time)
+    region = find_region(frame, frame.camera, world_from_vehicle, toy.insertion, ())
+    assert region is not None
+    on_car = np.array([[0, -0.9, 0]])
+    hit = transform_points(trajectory.at(0.42), on_car)
+    street = [20.0, 0, 0]
+    sweep = sweep_of([hit[0], street], [0.42, 0.42])
+    depths = carried_depths(sweep, frame.camera, world_from_vehicle, toy.insertion, region)
+    assert depths is not None
+    expected = frame.camera.project(transform_points(world_from_vehicle, on_car))[1]
+    assert depths.depths.tolist() == pytest.approx(expected.tolist(), rel=1e-5)
+    assert (np.abs(on_car) <= SIZE / 2).all()
+
+
+def test_the_error_is_relative_to_the_measured_depth():
+    depth = torch.full((2, 2), 5.0)
+    rendering = Rendering(torch.zeros(2, 2, 3), depth, torch.full((2, 2), 0.5))
+    lidar = LidarDepths(torch.tensor([0, 3]), torch.tensor([8.0, 10.0]))
+    assert lidar.error(rendering).item() == pytest.approx(0.125)
