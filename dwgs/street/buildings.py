@@ -1,5 +1,7 @@
 """Houses on both sides: walls with windows, cornices, roofs."""
 
+from dataclasses import replace
+
 import numpy as np
 import trimesh
 
@@ -18,7 +20,7 @@ GROUND_FLOOR = 3.7
 
 
 def build_house(palette: Palette, x: float, front: float, width: float, rng: np.random.Generator) -> Shape:
-    """A house on [x, x + width] whose front stands at y = front and looks at the road, which lies near y = 3 [m]."""
+    """A house on [x, x + width] whose front stands at y = front and looks at the road [m]."""
     facing = 1.0 if front < 0 else -1.0
     color, pattern = WALLS[rng.integers(len(WALLS))]
     frame = FRAMES[rng.integers(len(FRAMES))]
@@ -26,23 +28,21 @@ def build_house(palette: Palette, x: float, front: float, width: float, rng: np.
     storeys = int(rng.integers(2, 5))
     ground = GROUND_FLOOR + float(rng.uniform(-0.1, 0.4))
     top = ground + storeys * STOREY + 0.6
-    origin = (x if facing > 0 else x + width, front, 0.0)
-    is_shop = rng.random() < 0.45
     back = front - facing * 12
-
-    windows = (width / bays, STOREY, ground)
-    blank = palette.add(Material(color, pattern, origin=origin))
-    walls = palette.add(
-        Material(
-            color, SHOP if is_shop and pattern == PLASTER else pattern, frame, windows=windows, origin=origin
-        )
+    low, high = sorted((front, back))
+    if pattern == PLASTER and rng.random() < 0.6:
+        pattern = SHOP
+    walls = Material(
+        color,
+        pattern,
+        accent=frame,
+        windows=(width / bays, STOREY, ground),
+        origin=(x if facing > 0 else x + width, front, 0.0),
     )
-    stone = palette.add(
-        Material(tuple(int(0.5 * c + 112) for c in frame) if sum(frame) > 400 else (198, 190, 178), PLASTER)
-    )
-    body = box((x, min(front, back), 0), (x + width, max(front, back), top), blank)
-    is_front = body.normals[:, 0, 1] * facing > 0.9
-    pieces = [Shape(body.corners, body.normals, np.where(is_front, walls, blank).astype(np.int32))]
+    blank = palette.add(replace(walls, windows=(0.0, 0.0, 0.0)))
+    is_pale = sum(frame) > 400
+    stone = palette.add(Material(tuple(c // 2 + 112 for c in frame) if is_pale else (198, 190, 178), PLASTER))
+    pieces = [_fronted(box((x, low, 0), (x + width, high, top), blank), facing, palette.add(walls))]
 
     def ledge(z: float, height: float, reach: float) -> Shape:
         low, high = sorted((front - facing * 0.3, front + facing * reach))
@@ -53,9 +53,9 @@ def build_house(palette: Palette, x: float, front: float, width: float, rng: np.
     plinth = palette.add(Material((120, 116, 110), PLASTER))
     pieces.append(box((x, low, 0), (x + width, high, 0.42), plinth))
     if rng.random() < 0.45:
-        pieces.append(_roof(palette, (x, x + width), sorted((front, back)), top, rng))
+        pieces.append(_roof(palette, (x, x + width), (min(front, back), max(front, back)), top, rng))
     if rng.random() < 0.5:
-        pieces += _oriels(palette, origin, facing, windows, storeys, color, frame, rng)
+        pieces += _oriels(palette, walls, facing, range(int(rng.integers(0, 2)), bays, 2), storeys)
     return Shape.join(pieces)
 
 
@@ -71,22 +71,22 @@ def _roof(
     return Shape.join([Shape.of(hull, tiles), chimney])
 
 
-def _oriels(palette, origin, facing, windows, storeys, color, frame, rng) -> list[Shape]:
-    """Bay windows that stand out from every other column of the upper storeys."""
-    bay, storey, ground = windows
-    x0, front, _ = origin
-    depth = 0.7
+def _oriels(palette: Palette, front: Material, facing: float, columns: range, storeys: int) -> list[Shape]:
+    """Bay windows over all upper storeys, at the given columns of the front."""
+    bay, storey, ground = front.windows
+    x0, y0, _ = front.origin
+    walls = palette.add(replace(front, pattern=PLASTER))
+    blank = palette.add(replace(front, pattern=PLASTER, windows=(0.0, 0.0, 0.0)))
     pieces = []
-    start = int(rng.integers(0, 2))
-    count = max(2, round(abs(bay) and 4))
-    for column in range(start, count, 2):
-        edge = x0 + facing * bay * column
-        xs = sorted((edge + facing * 0.25, edge + facing * (bay - 0.25)))
-        ys = sorted((front - facing * 0.1, front + facing * depth))
-        z = (ground + 0.12, ground + storeys * storey)
-        walls = palette.add(Material(color, PLASTER, frame, windows=(bay, storey, ground), origin=origin))
-        blank = palette.add(Material(color, PLASTER, origin=origin))
-        body = box((xs[0], ys[0], z[0]), (xs[1], ys[1], z[1]), blank)
-        is_front = body.normals[:, 0, 1] * facing > 0.9
-        pieces.append(Shape(body.corners, body.normals, np.where(is_front, walls, blank).astype(np.int32)))
+    for column in columns:
+        left, right = sorted((x0 + facing * (bay * column + 0.25), x0 + facing * (bay * (column + 1) - 0.25)))
+        low, high = sorted((y0 - facing * 0.1, y0 + facing * 0.7))
+        body = box((left, low, ground + 0.12), (right, high, ground + storeys * storey), blank)
+        pieces.append(_fronted(body, facing, walls))
     return pieces
+
+
+def _fronted(body: Shape, facing: float, front: int) -> Shape:
+    """A box whose side towards the road has another material."""
+    is_front = body.normals[:, 0, 1] * facing > 0.9
+    return replace(body, materials=np.where(is_front, front, body.materials).astype(np.int32))

@@ -61,10 +61,10 @@ def oncoming_trajectory(frames: int, height: float, start: float, speed: float) 
 
 
 def inserted_trajectory(frames: int, height: float) -> Trajectory:
-    """Alongside in the left lane, then ahead to 17 m, then over into the ego lane: seen from the side to the rear."""
+    """Alongside in the left lane, then ahead to 17 m, then in the ego lane: seen from the side to the rear."""
     times = key_times(frames)
     s = times / times[-1]
-    ahead = 7.2 - 1.5 * _ease(s, 0.0, 0.25) + 11.3 * _ease(s, 0.25, 0.62)
+    ahead = 9.0 - 1.2 * _ease(s, 0.0, 0.25) + 10.5 * _ease(s, 0.25, 0.62)
     left = LANE * (1 - _ease(s, 0.52, 0.78))
     return along_path(times, ego_x(times) + ahead, left, height / 2)
 

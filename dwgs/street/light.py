@@ -10,9 +10,9 @@ from dwgs.street.surface import Patch, mix, texel_at
 wp.set_module_options({"enable_backward": False})
 
 GROUND = wp.constant(SURFACES.index("ground"))
-SUNLIGHT = wp.constant(wp.vec3(1.62, 1.46, 1.22))
-SKYLIGHT = wp.constant(wp.vec3(0.42, 0.50, 0.62))
-BOUNCED = wp.constant(wp.vec3(0.20, 0.18, 0.16))
+SUNLIGHT = wp.constant(wp.vec3(1.86, 1.66, 1.36))
+SKYLIGHT = wp.constant(wp.vec3(0.34, 0.42, 0.55))
+BOUNCED = wp.constant(wp.vec3(0.18, 0.16, 0.14))
 """Light from below: what road and walls give back."""
 HAZE = wp.constant(wp.vec3(0.66, 0.74, 0.83))
 CLEAR = wp.constant(900.0)

@@ -29,6 +29,8 @@ PAINTS = (
 )  # fmt: skip
 HERO_PAINT = (196, 62, 34)
 """Of the vehicle to be inserted."""
+LEAD_PAINT = (206, 208, 210)
+"""Of the car that drives ahead."""
 BEHIND = 45.0
 """How far the street reaches behind the first frame [m]."""
 AHEAD = 190.0
@@ -99,7 +101,7 @@ def draw_plan(seed: int, frames: int) -> Plan:
             stands = Trajectory(times[[0, -1]], np.stack([world_from_car, world_from_car]))
             parked.append(Vehicle(shape, design.size, stands))
     movers = []
-    shape, design = car(2)
+    shape, design = paint_car(cars[2], palette, LEAD_PAINT), DESIGNS[2]
     movers.append(Vehicle(shape, design.size, lead_trajectory(frames, design.size[2])))
     for begin, speed in ((46.0, 7.5), (118.0, 8.0), (215.0, 7.2)):
         shape, design = car(rng.choice(4, p=(0.4, 0.4, 0.1, 0.1)))

@@ -193,17 +193,17 @@ def facade(look: Look, patch: Patch, seed: wp.uint32) -> Texel:
 def leaves(look: Look, patch: Patch, seed: wp.uint32) -> Texel:
     p = patch.point
     width = wp.length(patch.across) + wp.length(patch.down)
-    clump = ripple3(seed + wp.uint32(61), p, width, 0.55)
-    leaf = ripple3(seed + wp.uint32(62), p, width, 0.16)
+    clump = ripple3(seed + wp.uint32(61), p, width, 0.6)
+    leaf = ripple3(seed + wp.uint32(62), p, width, 0.19)
     texel = Texel()
-    share = wp.clamp(0.45 + 0.35 * clump + 0.35 * leaf, 0.0, 1.0)
+    share = wp.clamp(0.42 + 0.30 * clump + 0.65 * leaf, 0.0, 1.0)
     texel.albedo = mix(look.color, look.accent, share)
     bump = wp.vec3(
-        ripple3(seed + wp.uint32(63), p, width, 0.35),
-        ripple3(seed + wp.uint32(64), p, width, 0.35),
-        ripple3(seed + wp.uint32(65), p, width, 0.35),
+        ripple3(seed + wp.uint32(63), p, width, 0.28),
+        ripple3(seed + wp.uint32(64), p, width, 0.28),
+        ripple3(seed + wp.uint32(65), p, width, 0.28),
     )
-    texel.normal = wp.normalize(patch.normal + 0.9 * bump)
+    texel.normal = wp.normalize(patch.normal + 1.0 * bump)
     return texel
 
 
