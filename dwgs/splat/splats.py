@@ -117,6 +117,12 @@ class Layers:
     back_alpha: Tensor
     """[H, W]."""
 
+    @staticmethod
+    def between(front: "Rendering", back: "Rendering") -> "Layers":
+        """Layers of two renderings over black, detached."""
+        tensors = (front.rgb, front.depth, 1 - front.alpha, back.rgb, back.depth, back.alpha)
+        return Layers(*(t.detach() for t in tensors))
+
     @cached_property
     def front(self) -> Tensor:
         """[5, H', W'] r, g, b, depth, transmittance, whole tiles; transmittance 0 outside the image."""

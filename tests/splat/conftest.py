@@ -1,11 +1,13 @@
 """Small random clouds and views that every splat test looks at."""
 
 from collections.abc import Callable
+from dataclasses import fields
 
 import pytest
 import torch
+from torch import Tensor
 
-from dwgs.splat import Splats, View
+from dwgs.splat import Rendering, Splats, View
 
 
 @pytest.fixture
@@ -28,7 +30,7 @@ def make_cloud() -> Callable[..., Splats]:
 
 @pytest.fixture
 def make_view() -> Callable[..., View]:
-    """Views of the origin from 6 m away, turned at random."""
+    """Views of the origin from 6 m away, turned at random; sizes are not whole tiles."""
 
     def view(width: int = 100, height: int = 75, seed: int = 0) -> View:
         random = torch.Generator().manual_seed(seed)
@@ -39,3 +41,27 @@ def make_view() -> Callable[..., View]:
         return View(viewmat, (0.9 * width, 0.95 * width, 0.49 * width, 0.51 * height), width, height)
 
     return view
+
+
+@pytest.fixture
+def leaves() -> Callable[..., list[Tensor]]:
+    """Every tensor of splats (and of a view) that can take a gradient, made to require one."""
+
+    def leaves_of(splats: Splats, view: View | None = None) -> list[Tensor]:
+        tensors = [getattr(splats, f.name) for f in fields(Splats)]
+        return [t.requires_grad_() for t in (tensors if view is None else [*tensors, view.viewmat])]
+
+    return leaves_of
+
+
+@pytest.fixture
+def gradients() -> Callable[..., tuple[Tensor, ...]]:
+    """Of a loss that looks at every output with random weights, and nowhere where ``weight`` [H, W] is 0."""
+
+    def gradients_of(rendering: Rendering, tensors: list[Tensor], weight: Tensor | float = 1.0):
+        random = torch.Generator().manual_seed(7)
+        outputs = (rendering.rgb.movedim(-1, 0), rendering.depth, rendering.alpha)
+        losses = [(o * torch.randn(o.shape, generator=random) * weight).sum() for o in outputs]
+        return torch.autograd.grad(torch.stack(losses).sum(), tensors)
+
+    return gradients_of

@@ -1,48 +1,25 @@
 """The GPU scheme, without a GPU: its source runs on the CPU as a witness, and it compiles for one."""
 
-from dataclasses import fields, replace
-
 import pytest
-import torch
 import warp as wp
 
-from dwgs.splat import Splats, render
+from dwgs.splat import Layers, render
 from dwgs.splat.kernels import bin, composite_cuda, gather, project
 from dwgs.splat.ops import composite
 
 
-@pytest.fixture
-def render_in_cuda_scheme(monkeypatch):
-    """Render on the CPU as a GPU would, each lane being a warp of its own."""
-
-    def render_so(*arguments):
-        with monkeypatch.context() as patch:
-            patch.setitem(composite._SCHEMES, "cpu", composite_cuda)
-            patch.setattr(composite_cuda, "SLOTS", composite_cuda.BLOCK)
-            rendering = render(*arguments)
-            outputs = (rendering.rgb, rendering.depth, rendering.alpha)
-            gradients = torch.autograd.grad(
-                outputs, tensors(*arguments[:2]), [torch.ones_like(o) for o in outputs]
-            )
-        return rendering, gradients
-
-    return render_so
-
-
-def tensors(splats, view):
-    return [*(getattr(splats, f.name) for f in fields(Splats)), view.viewmat]
-
-
-def test_both_schemes_agree(make_cloud, make_view, render_in_cuda_scheme):
+def test_both_schemes_agree(make_cloud, make_view, leaves, gradients, monkeypatch):
     splats, view = make_cloud(n=100), make_view(width=40, height=30)
-    view = replace(view, viewmat=view.viewmat.requires_grad_())
-    splats = Splats(*(getattr(splats, f.name).requires_grad_() for f in fields(Splats)))
-    theirs, v_theirs = render_in_cuda_scheme(splats, view)
-    ours = render(splats, view)
-    outputs = (ours.rgb, ours.depth, ours.alpha)
-    v_ours = torch.autograd.grad(outputs, tensors(splats, view), [torch.ones_like(o) for o in outputs])
-    for a, b in zip(outputs, (theirs.rgb, theirs.depth, theirs.alpha), strict=True):
-        assert (a - b).abs().max() < 2e-5
+    layers = Layers.between(render(make_cloud(n=30, seed=3), view), render(make_cloud(n=30, seed=4), view))
+    tensors = leaves(splats, view)
+    ours = render(splats, view, layers)
+    v_ours = gradients(ours, tensors)
+    monkeypatch.setitem(composite._SCHEMES, "cpu", composite_cuda)
+    monkeypatch.setattr(composite_cuda, "SLOTS", composite_cuda.BLOCK)  # each lane is a warp of its own
+    theirs = render(splats, view, layers)
+    v_theirs = gradients(theirs, tensors)
+    for name in ("rgb", "depth", "alpha"):
+        assert (getattr(ours, name) - getattr(theirs, name)).abs().max() < 2e-5
     for a, b in zip(v_ours, v_theirs, strict=True):
         assert (a - b).norm() < 1e-5 * b.norm()
 
