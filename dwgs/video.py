@@ -33,7 +33,8 @@ def write_lossless(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float =
     options = {"level": "3", "slicecrc": "1", "g": "1"}
     first, frames = _peek(frames)
     source, stored = ("gray", "gray") if first.ndim == 2 else ("rgb24", "bgr0")
-    with new_file(path) as draft, av.open(draft, "w", format="matroska") as container:
+    plain = {"fflags": "+bitexact"}  # no random identity: the same frames make the same file
+    with new_file(path) as draft, av.open(draft, "w", format="matroska", options=plain) as container:
         stream = container.add_stream("ffv1", rate=_rate(fps), options=options)
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = stored

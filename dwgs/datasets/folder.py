@@ -240,6 +240,8 @@ def _array(array: NDArray, dtype: type, dimensions: int) -> NDArray:
 
 def _floats(values: Any, shape: tuple[int, ...] | None = None) -> NDArray[np.float64]:
     array = np.array(values, np.float64)
+    if not np.isfinite(array).all():
+        raise ValueError("a number is not finite")
     return array if shape is None else array.reshape(shape)
 
 

@@ -175,10 +175,10 @@ def _poses(folder: Path, count: int) -> NDArray[np.float64]:
     """``world_from_local`` [count, 4, 4]."""
     poses = _json(folder / "poses.json")
     try:
-        positions = np.array([[p["position"][k] for k in "xyz"] for p in poses], np.float64)
-        quats = np.array([[p["heading"][k] for k in "wxyz"] for p in poses], np.float64)
+        positions = np.array([[p["position"][k] for k in "xyz"] for p in poses], np.float64).reshape(-1, 3)
+        quats = np.array([[p["heading"][k] for k in "wxyz"] for p in poses], np.float64).reshape(-1, 4)
     except (KeyError, TypeError, ValueError):
-        positions = quats = np.empty((0, 0))
+        positions, quats = np.empty((0, 3)), np.empty((0, 4))
     lengths = np.linalg.norm(quats, axis=1)
     if len(positions) != count or not np.isfinite(positions).all() or not (abs(lengths - 1) < 0.01).all():
         raise InputError(

@@ -16,7 +16,7 @@ REACH = 80.0
 """How far [m] from the ego path ground is looked for; beyond, its plane goes on."""
 
 _SWEEPS = 16
-_OUTLIER = 0.25
+_OUTLIER = 0.15
 _BLUR = np.array([1, 4, 6, 4, 1]) / 16
 
 
@@ -56,8 +56,7 @@ class Ground:
         weight[cells] = 1
         relief, weight = relief.reshape(rows, columns), weight.reshape(rows, columns)
         for _ in range(3):  # what sticks out lifts its surroundings: look again once it is gone
-            smooth = _blur(_blur(_fill(relief, weight)))
-            weight[relief > smooth + _OUTLIER] = 0
+            weight[relief > _surroundings(relief, weight) + _OUTLIER] = 0
         return Ground(plane, low + CELL / 2, _blur(_fill(relief, weight)))
 
     def height(self, xy: ArrayLike) -> NDArray[np.float64]:
@@ -111,17 +110,29 @@ def _fill(values: NDArray, weight: NDArray) -> NDArray[np.float64]:
     """Values where ``weight`` > 0; elsewhere what ever coarser averages of them say (pull-push)."""
     if (weight > 0).all() or values.size == 1:
         return np.where(weight > 0, values, 0)
+    return np.where(weight > 0, values, _finer(_fill(*_coarser(values, weight)), values.shape))
+
+
+def _surroundings(values: NDArray, weight: NDArray) -> NDArray[np.float64]:
+    """Averages over areas larger than a parked car."""
+    coarse, weight = _coarser(values, weight)
+    coarser = _blur(_fill(*_coarser(coarse, weight)))
+    return _finer(_finer(coarser, coarse.shape), values.shape)
+
+
+def _coarser(values: NDArray, weight: NDArray) -> tuple[NDArray, NDArray]:
+    """Averages of two by two cells, and whether any of the four weighs anything."""
     odd = [(0, n % 2) for n in values.shape]
-    total = _quarter(np.pad(values * weight, odd))
-    count = _quarter(np.pad(weight, odd))
-    coarse = _fill(total / np.maximum(count, 1e-12), np.minimum(count, 1))
-    row, column = np.ogrid[: values.shape[0], : values.shape[1]]
-    around = _bilinear(coarse, *np.broadcast_arrays((row - 0.5) / 2, (column - 0.5) / 2))
-    return np.where(weight > 0, values, around)
+    total, count = (
+        sum(np.pad(grid, odd)[i::2, j::2] for i in (0, 1) for j in (0, 1))
+        for grid in (values * weight, weight)
+    )
+    return total / np.maximum(count, 1e-12), np.minimum(count, 1)
 
 
-def _quarter(grid: NDArray) -> NDArray:
-    return grid[::2, ::2] + grid[1::2, ::2] + grid[::2, 1::2] + grid[1::2, 1::2]
+def _finer(coarse: NDArray, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    row, column = np.mgrid[: shape[0], : shape[1]]
+    return _bilinear(coarse, (row - 0.5) / 2, (column - 0.5) / 2)
 
 
 def _blur(grid: NDArray) -> NDArray[np.float64]:

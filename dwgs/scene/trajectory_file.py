@@ -11,8 +11,8 @@ CSV, angles in radians after ISO 8855 (heading about z, then pitch about y, then
     t,x,y,z,heading,pitch,roll
     0.0,5.0,0.0,0.0,0.0,0.0,0.0
 
-``reference`` names the point of the vehicle that the poses are of: ``box_center`` (also where nothing is said) or
-``ground_center``, below it on the ground.
+``reference`` names the point of the vehicle that the poses are of: ``box_center`` (also where nothing is said)
+or ``ground_center``, below it on the ground.
 """
 
 import csv
@@ -98,7 +98,7 @@ def _numbers(document: dict, key: str, shape: tuple[int, ...]) -> NDArray[np.flo
     try:
         values = np.array(document[key], np.float64)
     except (TypeError, ValueError, OverflowError):
-        values = np.empty(0)
+        values = np.full(1, np.nan)
     if values.ndim != 1 + len(shape) or values.shape[1:] != shape or not np.isfinite(values).all():
         form = " x ".join(["T", *map(str, shape)])
         raise InputError(f'"{key}" is a list of {form} finite numbers')
