@@ -42,7 +42,7 @@ class Generator(Protocol):
     def generate(
         self, conditions: "Conditions", seed: int, on_progress: Callable[[int, int], None] | None = None
     ) -> Scene:
-        """The same cameras with new pixels inside the reactive masks; outside they are the recording's, bit for bit.
+        """The same cameras: new pixels inside the reactive masks, the recording's, bit for bit, around.
 
         Args:
             conditions: What to draw where.

@@ -1,6 +1,6 @@
-"""From a file's units and axes to ours: what the format states, else what size and shape a vehicle can have."""
+"""From a file's units and axes to ours: what the format states, else what a vehicle can be."""
 
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,9 +38,12 @@ def convention_of(
     units = [unit] if unit else list(UNITS)
     if surface.stated and not unit:
         units = [surface.stated.unit, *(u for u in units if u != surface.stated.unit)]
-    fits: list[tuple[str, str, str]] = []
-    for u in units:
-        fits += [(u, *axes) for axes in permutations("xyz") if _is_vehicle(extents * UNITS[u], axes)]
+    fits = [
+        (u, length, width, height)
+        for u in units
+        for length, width, height in permutations("xyz")
+        if _is_vehicle(extents * UNITS[u], (length, width, height))
+    ]
     if forward:
         fits = [fit for fit in fits if fit[1] == forward[-1]]
     if not fits:
@@ -48,8 +51,8 @@ def convention_of(
         size = " x ".join(f"{e:.4g}" for e in extents)
         raise InputError(
             f"a vehicle is {LENGTH[0]:g}-{LENGTH[1]:g} m long, {WIDTH[0]:g}-{WIDTH[1]:g} m wide and "
-            f"{HEIGHT[0]:g}-{HEIGHT[1]:g} m high, {name} measures {size} (x, y, z) in its own unit and is none "
-            f"with {told or 'any unit'}; set --unit and --forward or scale it"
+            f"{HEIGHT[0]:g}-{HEIGHT[1]:g} m high, {name} measures {size} (x, y, z) in its own unit and is "
+            f"none with {told or 'any unit'}; set --unit and --forward or scale it"
         )
     fits = [fit for fit in fits if fit[0] == fits[0][0]]
 
@@ -93,7 +96,7 @@ def _is_vehicle(size: NDArray, axes: tuple[str, ...]) -> bool:
 
 
 def _strangeness(surface: Surface, across: str, up: str, stated: Convention | None) -> float:
-    """How odd it would be if ``across`` went from side to side: vehicles are mirrored there and nowhere else."""
+    """How odd it would be if ``across`` went from side to side: a vehicle is mirrored there alone."""
     habits = (stated.up, *_UP_HABITS) if stated else _UP_HABITS
     return 0.15 * habits.index(up) - _symmetry(surface.points, "xyz".index(across))
 
@@ -122,7 +125,7 @@ def _slope(points: NDArray, along: str, up: str) -> float:
 
     def top(first: float, last: float) -> float:
         edges = np.linspace(first, last, 9)
-        slices = [z[(x >= a) & (x < b)] for a, b in zip(edges, edges[1:], strict=False)]
+        slices = [z[(x >= a) & (x < b)] for a, b in pairwise(edges)]
         return float(np.mean([np.quantile(s, 0.98) for s in slices if len(s)] or [0]))
 
     return top(0.03, 0.22) - top(0.78, 0.97)

@@ -76,7 +76,7 @@ def read_header(path: Path) -> PlyHeader:
             case ["element", element, count] if count.isdigit():
                 if element == "vertex" and counts:
                     raise InputError(
-                        f"vertices come first in a PLY file, {path.name} begins with {list(counts)[0]}"
+                        f"vertices come first in a PLY file, {path.name} begins with {next(iter(counts))}"
                     )
                 counts[element] = int(count)
             case ["property", kind, name] if element == "vertex" and kind in _TYPES:
@@ -96,15 +96,15 @@ def read_header(path: Path) -> PlyHeader:
     have = path.stat().st_size - header.body
     if least > have + 1:
         raise InputError(
-            f"{path.name} declares {header.vertices} vertices and {header.faces} faces, at least {least} bytes, "
-            f"but holds {have}; it is cut short or not what it claims"
+            f"{path.name} declares {header.vertices} vertices and {header.faces} faces, at least {least} "
+            f"bytes, but holds {have}; it is cut short or not what it claims"
         )
     return header
 
 
 def read_cloud(
     path: Path,
-) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None, NDArray[np.float32] | None]:
+) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None, NDArray[np.float64] | None]:
     """Points [P, 3], colours [P, 3] and normals [P, 3] of a PLY file's vertices; None where it has none.
 
     Raises:
@@ -152,7 +152,7 @@ def read_cloud(
             colors = _as_bytes(np.stack([columns[c] for c in channels], 1))
     normals = None
     if {"nx", "ny", "nz"} <= set(names):
-        normals = np.stack([columns[c] for c in ("nx", "ny", "nz")], 1).astype(np.float32)
+        normals = np.stack([columns[c] for c in ("nx", "ny", "nz")], 1).astype(np.float64)
     if len(points) > MAX_POINTS:
         kept = np.sort(np.random.default_rng(0).choice(len(points), MAX_POINTS, replace=False))
         points = points[kept]

@@ -26,8 +26,9 @@ INSERTION_STAMP = {
 def write(conditions: Conditions, path: Path) -> None:
     """Write a folder that people can watch and `read` reads: whole or not at all.
 
-    ``conditions.json``, ``insertion/`` (`write_insertion`), and for each camera lossless videos ``points.mkv``,
-    ``point_mask.mkv``, ``reactive_mask.mkv`` and ``inactive.mkv`` (the recording with a grey hole).
+    ``conditions.json``, ``insertion/`` (`write_insertion`), and for each camera the lossless videos
+    ``points.mkv``, ``point_mask.mkv``, ``reactive_mask.mkv`` and ``inactive.mkv`` (the recording with a grey
+    hole).
     """
     cameras = {name: [_identity(f.frame) for f in frames] for name, frames in conditions.frames.items()}
     with new_folder(path) as draft:
@@ -61,8 +62,8 @@ def read(path: Path, scene: Scene) -> Conditions:
     expected = {name: [_identity(f) for f in frames] for name, frames in scene.frames.items()}
     if cameras != expected:
         raise InputError(
-            f"'{path}' holds conditions for {_summary(cameras)}, but '{scene.name}' has {_summary(expected)}; "
-            "choose the same frames, cameras and size, or make the conditions again"
+            f"'{path}' holds conditions for {_summary(cameras)}, but '{scene.name}' has {_summary(expected)}"
+            "; choose the same frames, cameras and size, or make the conditions again"
         )
     frames = {}
     for name, recorded in scene.frames.items():
@@ -128,6 +129,7 @@ def read_insertion(path: Path) -> Insertion:
     points, colors, normals = read_cloud(path / "points.ply")
     if colors is None:
         raise InputError(f"'{path / 'points.ply'}' has no colours; write it again")
+    normals = None if normals is None else normals.astype(np.float32)
     vehicle = VehiclePoints(points.astype(np.float32), colors, normals, is_complete)
     return Insertion(vehicle, size, Trajectory(times, poses), category)
 

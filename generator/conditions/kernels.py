@@ -44,7 +44,7 @@ def project(
     size: wp.vec2,
     pixels: wp.array(dtype=wp.vec3),
 ):
-    """(u, v, depth) of each point; depth 0 where it is outside the image or, if ``closed``, on a side turned away."""
+    """(u, v, depth) of each point; depth 0 outside the image and, if ``closed``, on a side turned away."""
     i = wp.tid()
     p = wp.transform_point(camera_from_vehicle, points[i])
     seen = p[2] >= NEAR
@@ -61,7 +61,7 @@ def project(
 def find_nearest(
     pixels: wp.array(dtype=wp.vec3), radius: float, spacing: float, nearest: wp.array2d(dtype=float)
 ):
-    """Depth of the nearest surface; a point is stamped so wide that it meets its neighbours. Launch one thread.
+    """Depth of the nearest surface; a point is stamped so wide that it meets its neighbours. One thread.
 
     Args:
         pixels: (u, v, depth) of each point; depth 0 is skipped.
@@ -119,12 +119,12 @@ def look_from_outside(
     directions: wp.array(dtype=wp.vec3),
     side: wp.array(dtype=wp.int8),
 ):
-    """The side of each point that rays from afar reach more often: +1 that of its normal, -1 the other, 0 none."""
+    """The side of each point that rays from afar reach more often: +1 its normal's, -1 the other, 0 none."""
     i = wp.tid()
     votes = int(0)  # noqa: RUF046, UP018 (Warp: a variable, not a constant)
     for k in range(directions.shape[0]):
         facing = wp.dot(normals[i], directions[k])
-        # rays along the surface slip through between neighbouring faces; and one glimpse through a gap decides nothing
+        # rays along the surface slip between neighbouring faces; one glimpse through a gap decides nothing
         if wp.abs(facing) > 0.1 and wp.abs(votes) < ENOUGH_VOTES:
             outward = wp.sign(facing)
             start = points[i] + OFF_SURFACE * outward * normals[i]

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from PIL import Image
 from scipy.stats import qmc
 
 from dwgs.scene import InputError
 from generator.conditions.cloud import MAX_BYTES
+from generator.conditions.paint import Spots, paint
 from generator.conditions.surface import Convention, Surface
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
@@ -21,12 +21,7 @@ SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
 SAMPLES = 1 << 19
 """Points drawn on a mesh; a power of two, as the Sobol sequence likes it."""
 
-GLASS = np.array([20, 22, 24])
-"""sRGB of what is seen through a window: a dark cabin. Glass is drawn as if painted with it."""
-
 _MAX_FACES = 20_000_000
-_MAX_TEXTURE = 64 << 20  # pixels
-_GREY = (127, 127, 127, 255)
 
 
 def sample_mesh(path: Path, seed: int = 0) -> Surface:
@@ -68,21 +63,22 @@ def sample_mesh(path: Path, seed: int = 0) -> Surface:
     weights = np.stack([1 - root, root * (1 - u[:, 2]), root * u[:, 2]], 1)
     points = np.einsum("pc,pcd->pd", weights, triangles[chosen])
 
-    colors, opaque, normals = (
-        np.empty((SAMPLES, 3), np.uint8),
-        np.empty(SAMPLES, bool),
-        np.empty((SAMPLES, 3)),
-    )
+    colors, normals = np.empty((SAMPLES, 3), np.uint8), np.empty((SAMPLES, 3))
+    whole = np.empty(SAMPLES, bool)
     first = 0
     for (mesh, transform), own in zip(parts, corners, strict=True):
         here = (chosen >= first) & (chosen < first + len(own))
-        face = chosen[here] - first
-        colors[here], opaque[here] = _paint(mesh, face, weights[here], path.name)
-        normals[here] = _normals(mesh, transform, own, face, weights[here])
+        spots = Spots(chosen[here] - first, weights[here])
+        colors[here], whole[here] = paint(mesh, spots, path.name)
+        normals[here] = _normals(mesh, transform, own, spots)
         first += len(own)
+    if not whole.any():
+        raise InputError(
+            f"a vehicle's mesh is opaque somewhere, the materials of {path.name} cut all of it away"
+        )
     stated = Convention("m", "y", "z") if path.suffix.lower() in (".glb", ".gltf") else None
     return Surface(
-        points[opaque], colors[opaque], normals[opaque], triangles, chosen[opaque], stated, tuple(remarks)
+        points[whole], colors[whole], normals[whole], triangles, chosen[whole], stated, tuple(remarks)
     )
 
 
@@ -148,81 +144,14 @@ def _corners(mesh: trimesh.Trimesh, transform: NDArray) -> NDArray[np.float64]:
 
 
 def _normals(
-    mesh: trimesh.Trimesh, transform: NDArray, corners: NDArray, face: NDArray, weights: NDArray
+    mesh: trimesh.Trimesh, transform: NDArray, corners: NDArray, spots: Spots
 ) -> NDArray[np.float64]:
     """Unit normals [P, 3]: the mesh's smooth ones, where they agree with the face they belong to."""
     edges = corners[:, 1:] - corners[:, :1]
-    flat = _unit(np.cross(edges[:, 0], edges[:, 1]))[face]
-    smooth = np.einsum("pc,pcd->pd", weights, mesh.vertex_normals[mesh.faces[face]])
-    smooth = _unit(smooth @ np.linalg.pinv(transform[:3, :3]))
+    flat = _unit(np.cross(edges[:, 0], edges[:, 1]))[spots.face]
+    smooth = _unit(spots.interpolate(mesh, mesh.vertex_normals) @ np.linalg.pinv(transform[:3, :3]))
     smooth *= np.where((smooth * flat).sum(1, keepdims=True) < 0, -1, 1)
     return np.where((smooth * flat).sum(1, keepdims=True) > 0.5, smooth, flat)
-
-
-def _paint(
-    mesh: trimesh.Trimesh, face: NDArray, weights: NDArray, name: str
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """sRGB [P, 3], and whether there is any surface [P], at barycentric ``weights`` of the given faces."""
-    visual, count = mesh.visual, len(face)
-    corners = mesh.faces[face]
-    opaque = np.ones(count, bool)
-    if isinstance(visual, trimesh.visual.ColorVisuals):
-        if visual.kind == "face":
-            rgba = visual.face_colors[face].astype(np.float64)
-        elif visual.kind == "vertex":
-            rgba = np.einsum("pc,pcd->pd", weights, visual.vertex_colors[corners].astype(np.float64))
-        else:
-            rgba = np.tile(np.array(_GREY, np.float64), (count, 1))
-        return np.rint(rgba[:, :3]).astype(np.uint8), opaque
-
-    material = visual.material
-    is_gltf = isinstance(material, trimesh.visual.material.PBRMaterial)
-    image = material.baseColorTexture if is_gltf else material.image
-    factor = material.baseColorFactor if is_gltf else material.diffuse
-    factor = np.full(4, 1.0) if factor is None else np.asarray(factor, np.float64) / 255
-    alpha = np.full(count, factor[3])
-    if image is not None and visual.uv is not None:
-        uv = np.einsum("pc,pcd->pd", weights, visual.uv[corners])
-        texels = _texture(image, uv, name)
-        # glTF multiplies linear light; in an MTL file the map takes the place of Kd, as most exporters mean it
-        rgb = _srgb(_linear(texels[:, :3]) * factor[:3]) if is_gltf else texels[:, :3]
-        if is_gltf:
-            alpha = alpha * texels[:, 3]
-    else:
-        rgb = np.tile(_srgb(factor[:3]) if is_gltf else factor[:3], (count, 1))
-    if is_gltf:
-        if material.alphaMode == "MASK":
-            opaque = alpha >= (0.5 if material.alphaCutoff is None else material.alphaCutoff)
-        if material.alphaMode != "BLEND":
-            alpha = np.ones(count)
-    else:
-        dissolve = material.kwargs.get("d") or [1.0]
-        alpha = np.full(count, float(dissolve[0]))
-    rgb = alpha[:, None] * rgb + (1 - alpha[:, None]) * GLASS / 255
-    return np.rint(rgb.clip(0, 1) * 255).astype(np.uint8), opaque
-
-
-def _texture(image: Image.Image, uv: NDArray, name: str) -> NDArray[np.float64]:
-    """Texels [P, 4] in [0, 1] at ``uv`` [P, 2] (v up, repeating), bilinear."""
-    if image.width * image.height > _MAX_TEXTURE:
-        raise InputError(
-            f"a texture has at most {_MAX_TEXTURE >> 20} Mpx, one of {name} has {image.size}; shrink it"
-        )
-    try:
-        image = image.convert("RGBA")
-    except Exception as error:  # a decoder given a stranger's file may raise anything
-        raise InputError(f"a texture of {name} cannot be decoded: {error}") from None
-    return trimesh.visual.color.uv_to_interpolated_color(uv, image).astype(np.float64) / 255
-
-
-def _linear(srgb: NDArray) -> NDArray[np.float64]:
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def _srgb(linear: NDArray) -> NDArray[np.float64]:
-    return np.where(
-        linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
-    )
 
 
 def _unit(vectors: NDArray) -> NDArray[np.float64]:

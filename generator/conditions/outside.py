@@ -37,8 +37,10 @@ def seen_from_outside(
     rank = np.arange(len(points)) - np.repeat(np.cumsum(count) - count, count)
     asked = by_patch[rank < _ASKED]
     sides = _look(points[asked], normals[asked], triangles)
-    votes = np.bincount(patch[asked], weights=sides, minlength=len(count))
-    return np.sign(votes).astype(np.int8)[patch]
+    votes = np.zeros(len(count), np.int64)
+    np.add.at(votes, patch[asked], sides)
+    side = np.sign(votes).astype(np.int8)
+    return side[patch]
 
 
 def _look(points: NDArray, normals: NDArray, triangles: NDArray) -> NDArray[np.int8]:

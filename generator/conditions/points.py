@@ -19,7 +19,7 @@ _CLEARANCE = (0.05, 0.40)  # between a body without wheels and the ground of its
 def load_vehicle(
     path: Path, unit: str | None = None, forward: str | None = None
 ) -> tuple[VehiclePoints, NDArray[np.float64], str]:
-    """Points of the vehicle in ``path``, its size [3] (length, width, height) [m], and one line about what was assumed.
+    """Points of a vehicle, its size [3] (length, width, height) [m], and one line about what was assumed.
 
     Args:
         path: A mesh (glTF, GLB, OBJ, PLY, STL, OFF), a coloured cloud (PLY), or an asset folder.
@@ -57,7 +57,7 @@ def _from_surface(
     remarks = list(surface.remarks)
     if surface.triangles is not None and _CLEARANCE[0] < low[2] < _CLEARANCE[1]:
         remarks.append(
-            f"it ends {100 * low[2]:.0f} cm above z = 0 of its own frame, which is taken for the ground (no wheels?)"
+            f"it ends {100 * low[2]:.0f} cm above its own zero, taken for the ground (has it no wheels?)"
         )
         low[2] = 0.0
     size, center = high - low, (low + high) / 2

@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from dwgs.scene import Camera, VehiclePoints
 from generator.conditions import kernels
@@ -19,7 +19,6 @@ MASK_THRESHOLD = 0.5
 
 _LEAST_RADIUS = 0.71  # px: a smaller disc may fall between all pixel centres and vanish
 _BEHIND = 0.2  # m: points deeper than this behind the nearest are another side of the vehicle
-
 
 
 class PointRasterizer:
@@ -40,8 +39,8 @@ class PointRasterizer:
     ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """The point image [H, W, 3] and the point mask [H, W] of the vehicle at a pose [4, 4].
 
-        A disc weighs ``1 - d^2 / r^2``; discs are blended front to back by depth of their centres. What lies on the
-        far side of the vehicle is left out first: so small discs do not cover a near side.
+        A disc weighs ``1 - d^2 / r^2``; discs are blended front to back by depth of their centres. What lies
+        on the far side of the vehicle is left out first: so small discs do not cover a near side.
         """
         camera_from_vehicle = camera.camera_from_world @ world_from_vehicle
         radius = max(0.5 * RADIUS * min(camera.width, camera.height), _LEAST_RADIUS)
@@ -76,7 +75,7 @@ class PointRasterizer:
 def _spacing(points: NDArray) -> float:
     """Typical distance [m] between neighbouring points."""
     sample = points[:: max(len(points) // 2000, 1)]
-    distances, _ = cKDTree(points).query(sample, k=min(5, len(points)))
+    distances, _ = KDTree(points).query(sample, k=min(5, len(points)))
     return float(np.median(np.atleast_2d(distances)[:, -1]))
 
 
