@@ -41,6 +41,8 @@ def fill_convex_hull(
     x = np.arange(low[0], high[0]) + 0.5
     y = np.arange(low[1], high[1])[:, None] + 0.5
     inside = np.ones((len(y), len(x)), bool)
+    if inside.size == 0:
+        return mask
     hull = _convex_hull(points)
     for a, b in zip(hull, np.roll(hull, -1, axis=0), strict=True):
         edge = b - a

@@ -1,0 +1,27 @@
+"""How a street is reconstructed."""
+
+from dataclasses import dataclass
+
+from dwgs.optimize import Rates
+
+
+@dataclass(frozen=True)
+class ReconstructConfig:
+    """What may be asked of a reconstruction. The same values and input give the same bytes."""
+
+    steps: int = 1800
+    """Length of the schedule. Never stop early: the rates fall, and quality rises, at its end."""
+    gaussians: int = 160_000
+    """At most so many are laid on the LiDAR points; the sky, gaps and growth come on top."""
+    grown: int = 40_000
+    """How many are added each time the cloud grows."""
+    threads: int = 2
+    """How many threads composite one image."""
+    seed: int = 0
+    """Chooses the points that are kept and the pixels that grow."""
+
+
+RATES = Rates(
+    means=2e-3, quats=6e-3, scales=2e-2, opacities=0.1, sh_dc=1.5e-2, sh_rest=3e-3, betas=(0.9, 0.99)
+)
+"""About three times the usual: the schedule is short."""

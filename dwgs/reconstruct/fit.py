@@ -1,0 +1,190 @@
+"""Scene -> Background."""
+
+import time
+from collections.abc import Generator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from dwgs.metrics import psnr, ssim
+from dwgs.optimize import (
+    Evaluated,
+    Event,
+    Grown,
+    Preparing,
+    Step,
+    dssim,
+    hold_then_decay,
+    view_order,
+    weighted_l1,
+)
+from dwgs.optimize.growth import sample_errors
+from dwgs.reconstruct.config import ReconstructConfig
+from dwgs.reconstruct.discs import blobs
+from dwgs.reconstruct.initialize import initialize
+from dwgs.reconstruct.model import Street, show_background
+from dwgs.reconstruct.sky import SHELL_RADIUS
+from dwgs.reconstruct.static_points import static_points
+from dwgs.reconstruct.views import TrainingView, evenly, read_view, split_frames
+from dwgs.scene import Background, Gaussians, Scene
+from dwgs.scene.sky import pixel_rays
+
+COARSE = 0.15
+"""The first part of the schedule looks at images of half the size."""
+GROWTH = (0.12, 0.25, 0.40)
+"""Parts of the schedule after which the cloud grows."""
+GROWTH_VIEWS = 10
+"""How many views are searched for errors."""
+SSIM_SHARE = 0.2
+"""Of the photometric loss; the rest is L1."""
+DEPTH_WEIGHT = 0.05
+"""Of the relative LiDAR depth error."""
+HIDDEN_WEIGHT = 0.05
+"""Of pixels under traffic, where the target is what the first cloud shows."""
+NO_POINTS = np.zeros((0, 3), np.float32)
+JUDGED_VIEWS = 16
+"""At most so many of the frames that teach are scored at the end."""
+
+
+def reconstruct(
+    scene: Scene, config: ReconstructConfig
+) -> Generator[Event, None, tuple[Background, dict[str, Any]]]:
+    """Fit the static street of ``scene``, step by step.
+
+    Every 8th instant is held out: it never touches colours, geometry or poses, and judges.
+
+    Returns:
+        As the generator's return value, the `Background` and a report of JSON values.
+
+    Raises:
+        InputError: The scene has no LiDAR, or none that its cameras see.
+    """
+    begin = time.perf_counter()
+    teaching, judging = split_frames(scene)
+    static: dict[int, NDArray[np.float32]] = {}
+    for i, sweep in enumerate(scene.sweeps, 1):
+        static[sweep.frame_index] = static_points(scene, sweep)
+        yield Preparing("sweeps", i, len(scene.sweeps))
+    views = []
+    for i, frame in enumerate(teaching, 1):
+        views.append(read_view(scene, frame, static.get(frame.index, NO_POINTS)))
+        yield Preparing("frames", i, len(teaching))
+    gaussians, sky = initialize(scene, static, views, config)
+    street = Street(scene, teaching, gaussians, sky)
+    views = [_imagine_hidden(street, i, view, config.threads) for i, view in enumerate(views)]
+    yield Grown(0, len(street))
+
+    generator = torch.Generator().manual_seed(config.seed)
+    order = view_order(len(views), config.seed)
+    growths = [round(part * config.steps) for part in GROWTH]
+    for step in range(1, config.steps + 1):
+        i = next(order)
+        view = views[i].halved() if step <= COARSE * config.steps else views[i]
+        loss = _loss(street, i, view, config.threads)
+        loss.backward()
+        street.step(hold_then_decay(step, config.steps))
+        yield Step(step, config.steps, float(loss.detach()))
+        if step in growths:
+            street.grow(_seedlings(street, views, config.grown, generator, config.threads))
+            yield Grown(step, len(street))
+
+    background = street.to_background(judging)
+    scores = {
+        "train": _scores(background, evenly(views, JUDGED_VIEWS), config.threads),
+        "heldout": _scores(
+            background, [read_view(scene, frame, NO_POINTS) for frame in judging], config.threads
+        ),
+    }
+    report = _report(scores, street, background, config) | {"seconds": round(time.perf_counter() - begin, 2)}
+    if report["psnr_heldout"] is not None:
+        yield Evaluated(config.steps, report["psnr_heldout"])
+    return background, report
+
+
+def _loss(street: Street, i: int, view: TrainingView, threads: int) -> Tensor:
+    """0.8 L1 + 0.2 (1 - SSIM) against the pixels, and the relative error of the depth where LiDAR knows it.
+
+    The depth is premultiplied: it is right only where the street is opaque.
+    """
+    rgb, rendering = street.show(i, view.camera, threads)
+    target = torch.from_numpy(view.pixels).float() / 255
+    weight = torch.from_numpy(np.where(view.hidden, np.float32(HIDDEN_WEIGHT), np.float32(1)))
+    loss = (1 - SSIM_SHARE) * weighted_l1(rgb, target, weight)
+    loss = loss + 2 * SSIM_SHARE * dssim(rgb, target, weight)
+    if len(view.depths):
+        rows, columns = torch.from_numpy(view.depth_pixels).T
+        depth = rendering.depth[rows, columns] / torch.from_numpy(view.depths)
+        loss = loss + DEPTH_WEIGHT * (depth - 1).abs().mean()
+    return loss
+
+
+def _imagine_hidden(street: Street, i: int, view: TrainingView, threads: int) -> TrainingView:
+    """The view with what the street shows now in place of the traffic.
+
+    Held to with a small weight, it keeps what other frames do not contradict.
+    """
+    if not view.hidden.any():
+        return view
+    with torch.no_grad():
+        _, rendering = street.show(i, view.camera, threads)
+    rgb = rendering.rgb.numpy() + (1 - rendering.alpha.numpy())[..., None] * (view.pixels / np.float32(255))
+    imagined = (np.clip(rgb, 0, 1) * 255).round().astype(np.uint8)
+    return replace(view, pixels=np.where(view.hidden[..., None], imagined, view.pixels))
+
+
+def _seedlings(
+    street: Street, views: list[TrainingView], count: int, generator: torch.Generator, threads: int
+) -> Gaussians:
+    """New Gaussians on pixels that are still wrong, one pixel large, as deep as the street is there."""
+    chosen = evenly(list(range(len(views))), GROWTH_VIEWS)
+    clouds = []
+    for i in chosen:
+        view, camera = views[i], street.camera(i)
+        with torch.no_grad():
+            rgb, rendering = street.show(i, view.camera, threads)
+        target = torch.from_numpy(view.pixels).float() / 255
+        error = (rgb - target).abs().mean(-1) * torch.from_numpy(~view.hidden)
+        pixels = sample_errors(error, count // len(chosen), generator)
+        rows, columns = pixels.numpy().T
+        depths = rendering.expected_depth[pixels[:, 0], pixels[:, 1]].double().numpy()
+        is_sky = rendering.alpha[pixels[:, 0], pixels[:, 1]].numpy() < 0.5
+        depths[is_sky] = SHELL_RADIUS
+        points = camera.position + depths[:, None] * pixel_rays(camera)[rows, columns]
+        radii = depths / camera.K[0, 0]
+        clouds.append(blobs(points, radii, view.pixels[rows, columns] / 255, np.full(len(points), 0.5)))
+    return Gaussians.concatenate(clouds)
+
+
+def _scores(background: Background, views: list[TrainingView], threads: int) -> list[dict[str, Any]]:
+    """PSNR and SSIM of each view, traffic masked out."""
+    scores = []
+    for view in views:
+        name, index = view.frame.camera_name, view.frame.index
+        camera = view.camera.at(background.poses[name, index])
+        shown, target = show_background(background, camera, name, threads), view.pixels / 255
+        shown = np.where(view.hidden[..., None], target, shown)
+        entry = {"camera": name, "frame": index, "psnr": psnr(shown, target, ~view.hidden)}
+        scores.append(entry | {"ssim": ssim(shown, target, ~view.hidden)})
+    return scores
+
+
+def _report(
+    scores: dict[str, list[dict[str, Any]]], street: Street, background: Background, config: ReconstructConfig
+) -> dict[str, Any]:
+    rotation, translation = street.pose_corrections()
+    means = {
+        f"{measure}_{group}": float(np.mean([s[measure] for s in entries])) if entries else None
+        for group, entries in scores.items()
+        for measure in ("psnr", "ssim")
+    }
+    return means | {
+        "gaussians": len(background.gaussians),
+        "steps": config.steps,
+        "pose_correction_rms_deg": float(np.degrees(rotation)),
+        "pose_correction_rms_m": translation,
+        "frames": scores,
+    }

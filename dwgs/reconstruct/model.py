@@ -1,0 +1,147 @@
+"""The street while it is learnt: Gaussians before a sky, camera poses, exposure."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from dwgs.optimize import PoseParameters, SplatParameters
+from dwgs.reconstruct.config import RATES
+from dwgs.scene import Background, Camera, Frame, Gaussians, Scene
+from dwgs.scene.pose import pose
+from dwgs.scene.sky import sky_image
+from dwgs.splat import Rendering, Splats, View, render
+
+SKY_STRIDE = 4
+"""The sky is looked up at every fourth pixel and interpolated: its own pixels are larger."""
+ROTATION_RATE, TRANSLATION_RATE, GAIN_RATE = 1e-4, 1e-3, 2e-3
+"""Step sizes of camera poses [rad], [m] and of the logarithm of exposure."""
+UNIT_DISTANCE = 10.0
+"""The rate of the means holds at this distance from the nearest camera [m], and grows in proportion."""
+NEAREST = 3.0
+"""Nothing moves as if it were nearer than this [m]."""
+
+
+class Street:
+    """Everything that a step of the reconstruction changes."""
+
+    def __init__(
+        self, scene: Scene, frames: list[Frame], gaussians: Gaussians, sky: NDArray[np.float32]
+    ) -> None:
+        self.frames = frames
+        self.sky = sky
+        self._positions = torch.tensor(np.array([f.camera.position for f in frames]), dtype=torch.float32)
+        self._splats = SplatParameters(gaussians, RATES, self.step_scale(gaussians))
+        self._poses = PoseParameters(len(frames), ROTATION_RATE, TRANSLATION_RATE)
+        self._cameras = list(scene.frames)
+        self._log_gains = torch.zeros(len(self._cameras), 3, requires_grad=len(self._cameras) > 1)
+        self._gain_optimizer = torch.optim.Adam([self._log_gains], lr=GAIN_RATE, betas=(0.9, 0.99))
+        self._skies: dict[tuple[int, int], Tensor] = {}
+
+    def __len__(self) -> int:
+        return len(self._splats)
+
+    def show(self, i: int, camera: Camera, threads: int) -> tuple[Tensor, Rendering]:
+        """Colours [H, W, 3] of frame ``i`` through its ``camera`` at any resolution, and their rendering."""
+        view = View.from_camera(camera)
+        # world_from_refined = world_from_recorded @ correction
+        refined = View(
+            _inverse(self._poses.matrix(i)) @ view.viewmat, view.intrinsics, view.width, view.height
+        )
+        rendering = render(self._splats.splats(), refined, threads=threads)
+        rgb = rendering.rgb + (1 - rendering.alpha)[..., None] * self._sky_behind(i, camera)
+        return rgb * self._gain(self.frames[i].camera_name), rendering
+
+    def step(self, factor: float) -> None:
+        """One step along the gradients, rates times ``factor``."""
+        self._splats.step(factor)
+        self._poses.step(factor)
+        if self._log_gains.grad is not None:
+            self._log_gains.grad[0] = 0  # the main camera says what white is
+            self._gain_optimizer.step()
+            self._gain_optimizer.zero_grad(set_to_none=True)
+
+    def grow(self, gaussians: Gaussians) -> None:
+        """Add Gaussians."""
+        self._splats.append(gaussians, self.step_scale(gaussians))
+
+    def step_scale(self, gaussians: Gaussians) -> Tensor:
+        """Distance of each Gaussian [N] in `UNIT_DISTANCE`: so scaled, one step moves as many pixels."""
+        means = torch.from_numpy(gaussians.means)
+        nearest = torch.full((len(means),), torch.inf)
+        for position in self._positions[:: max(1, len(self._positions) // 16)]:
+            nearest = torch.minimum(nearest, (means - position).norm(dim=1))
+        return nearest.clamp_min(NEAREST) / UNIT_DISTANCE
+
+    def camera(self, i: int) -> Camera:
+        """The refined camera of frame ``i``."""
+        camera = self.frames[i].camera
+        return camera.at(camera.world_from_camera @ self._correction(i))
+
+    def camera_of(self, frame: Frame) -> Camera:
+        """The camera of a frame that took no part: its neighbours' corrections, interpolated in time."""
+        same = [i for i, f in enumerate(self.frames) if f.camera_name == frame.camera_name]
+        times = [self.frames[i].camera.time for i in same]
+        six = torch.cat([self._poses.rotations, self._poses.translations], 1).detach()[same].numpy()
+        between = [np.interp(frame.camera.time, times, six[:, k]) for k in range(6)]
+        return frame.camera.at(frame.camera.world_from_camera @ _rigid(np.array(between)))
+
+    def to_background(self, heldout: list[Frame]) -> Background:
+        """The frozen street."""
+        poses = {
+            (f.camera_name, f.index): self.camera(i).world_from_camera for i, f in enumerate(self.frames)
+        }
+        poses |= {(f.camera_name, f.index): self.camera_of(f).world_from_camera for f in heldout}
+        gains = {name: self._gain(name).detach().numpy() for name in self._cameras[1:]}
+        gaussians = self._splats.to_gaussians()
+        return Background(gaussians[gaussians.opacities >= 1 / 255], self.sky, gains, poses)
+
+    def pose_corrections(self) -> tuple[float, float]:
+        """Root mean square of the rotations [rad] and of the translations [m]."""
+        sizes = (self._poses.rotations.norm(dim=1), self._poses.translations.norm(dim=1))
+        rotation, translation = (float(s.detach().square().mean().sqrt()) for s in sizes)
+        return rotation, translation
+
+    def _gain(self, camera_name: str) -> Tensor:
+        return self._log_gains[self._cameras.index(camera_name)].exp()
+
+    def _correction(self, i: int) -> NDArray[np.float64]:
+        six = torch.cat([self._poses.rotations[i], self._poses.translations[i]])
+        return _rigid(six.detach().double().numpy())
+
+    def _sky_behind(self, i: int, camera: Camera) -> Tensor:
+        """[H, W, 3] of the sky; its pixels are so large that the correction of a pose does not matter."""
+        key = i, camera.width
+        if key not in self._skies:
+            coarse = camera.resize(-(-camera.width // SKY_STRIDE), -(-camera.height // SKY_STRIDE))
+            self._skies[key] = torch.from_numpy(sky_image(self.sky, coarse)).permute(2, 0, 1)[None]
+        size = (camera.height, camera.width)
+        return interpolate(self._skies[key], size, mode="bilinear", align_corners=False)[0].permute(1, 2, 0)
+
+
+def show_background(
+    background: Background, camera: Camera, camera_name: str, threads: int
+) -> NDArray[np.float32]:
+    """The picture [H, W, 3] of a frozen street from any camera."""
+    with torch.no_grad():
+        rendering = render(
+            Splats.from_gaussians(background.gaussians), View.from_camera(camera), threads=threads
+        )
+    sky = sky_image(background.sky, camera)
+    rgb = rendering.rgb.numpy() + (1 - rendering.alpha.numpy())[..., None] * sky
+    return rgb * background.exposure.get(camera_name, np.ones(3, np.float32))
+
+
+def _inverse(a_from_b: Tensor) -> Tensor:
+    """[4, 4] of a rigid transform, differentiable."""
+    rotation = a_from_b[:3, :3].T
+    upper = torch.cat([rotation, -(rotation @ a_from_b[:3, 3:])], 1)
+    return torch.cat([upper, a_from_b[3:]])
+
+
+def _rigid(six: NDArray) -> NDArray[np.float64]:
+    """[4, 4] from a rotation vector and a translation."""
+    x, y, z = six[:3]
+    skew = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
+    return pose(torch.matrix_exp(skew).numpy(), six[3:])
