@@ -116,9 +116,8 @@ def _fit(
         view = shot.view
         if poses is not None and step > len(learnt):
             view = shot.view_at(poses.old_from_new(i))
-        rendering = shot.frozen.composite(
-            [project(p.splats(), view, config.threads) for p in parts], view, config.threads
-        )
+        vehicle = Splats.cat([part.splats() for part in parts])
+        rendering = shot.frozen.composite(project(vehicle, view, config.threads), view, config.threads)
         loss = _photometric(rendering.rgb * shot.frozen.gain, shot, recipe, squared_errors, i)
         if shot.lidar is not None and config.lidar_weight > 0:
             loss = loss + config.lidar_weight * shot.lidar.error(rendering)

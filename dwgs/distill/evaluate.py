@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dwgs.distill.shots import Shot
 from dwgs.metrics import psnr, ssim
-from dwgs.splat import Projected, Splats, View, composite, project
+from dwgs.splat import Splats, View, composite, project
 
 OBJECT_ALPHA = 0.5
 """A pixel is the vehicle's own where its body alone covers more than this."""
@@ -35,9 +35,9 @@ def score(
 ) -> tuple[Score, NDArray[np.float32]]:
     """Score one frame, and the window [h, w, 3] as it is rendered."""
     with torch.no_grad():
-        parts: list[Projected] = [project(body, view, threads), project(shadow, view, threads)]
-        rendered = shot.frozen.composite(parts, view, threads).rgb * shot.frozen.gain
-        alpha = composite(parts[0], view, None, threads).alpha
+        vehicle = project(Splats.cat([body, shadow]), view, threads)
+        rendered = shot.frozen.composite(vehicle, view, threads).rgb * shot.frozen.gain
+        alpha = composite(vehicle[: len(body)], view, None, threads).alpha
     image, target = rendered.numpy(), shot.target.numpy()
     supervised = shot.sight.region.supervised
     frame = shot.sight.frame
