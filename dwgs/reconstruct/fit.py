@@ -111,8 +111,8 @@ def _loss(street: Street, i: int, view: TrainingView, threads: int) -> Tensor:
     The depth is premultiplied: it is right only where the street is opaque.
     """
     rgb, rendering = street.show(i, view.camera, threads)
-    target = torch.from_numpy(view.pixels).float() / 255
-    weight = torch.from_numpy(np.where(view.hidden, np.float32(HIDDEN_WEIGHT), np.float32(1)))
+    target = _tensor(view)
+    weight = torch.where(torch.from_numpy(view.hidden), HIDDEN_WEIGHT, 1.0)
     loss = (1 - SSIM_SHARE) * weighted_l1(rgb, target, weight)
     loss = loss + 2 * SSIM_SHARE * dssim(rgb, target, weight)
     if len(view.depths):
@@ -120,6 +120,12 @@ def _loss(street: Street, i: int, view: TrainingView, threads: int) -> Tensor:
         depth = rendering.depth[rows, columns] / torch.from_numpy(view.depths)
         loss = loss + DEPTH_WEIGHT * (depth - 1).abs().mean()
     return loss
+
+
+def _tensor(view: TrainingView) -> Tensor:
+    """Its colours [H, W, 3] in [0, 1], plane by plane like a rendering's."""
+    planes = torch.from_numpy(view.pixels).permute(2, 0, 1).contiguous()
+    return (planes.float() / 255).permute(1, 2, 0)
 
 
 def _imagine_hidden(street: Street, i: int, view: TrainingView, threads: int) -> TrainingView:
@@ -146,8 +152,7 @@ def _seedlings(
         view, camera = views[i], street.camera(i)
         with torch.no_grad():
             rgb, rendering = street.show(i, view.camera, threads)
-        target = torch.from_numpy(view.pixels).float() / 255
-        error = (rgb - target).abs().mean(-1) * torch.from_numpy(~view.hidden)
+        error = (rgb - _tensor(view)).abs().mean(-1) * torch.from_numpy(~view.hidden)
         pixels = sample_errors(error, count // len(chosen), generator)
         rows, columns = pixels.numpy().T
         depths = rendering.expected_depth[pixels[:, 0], pixels[:, 1]].double().numpy()

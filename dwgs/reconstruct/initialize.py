@@ -11,8 +11,8 @@ from dwgs.reconstruct.config import ReconstructConfig
 from dwgs.reconstruct.discs import discs
 from dwgs.reconstruct.sky import SHELL_CONTRAST, far_shell, paint_sky
 from dwgs.reconstruct.static_points import pixels_of
-from dwgs.reconstruct.thinning import VOXEL_PIXELS, spacing_in_view, thin
-from dwgs.reconstruct.unseen import continue_colors, meet_ground
+from dwgs.reconstruct.thinning import spacing_in_view, thin
+from dwgs.reconstruct.unseen import continue_colors, meet_ground, road_seen
 from dwgs.reconstruct.views import TrainingView, evenly
 from dwgs.scene import Gaussians, InputError, Scene
 from dwgs.scene.ground import Ground
@@ -40,7 +40,7 @@ class Gaps:
     road: NDArray[np.float64]
     """[R, 3] where those that look down meet the ground [m]."""
     road_sizes: NDArray[np.float64]
-    """[R] the size of `VOXEL_PIXELS` there [m]."""
+    """[R] how far apart points of road should lie there [m]."""
     far: NDArray[np.float64]
     """[F, 3] world directions of all others, those that saw something first."""
     far_colors: NDArray[np.float64]
@@ -119,12 +119,12 @@ def find_gaps(lidar: Gaussians, views: list[TrainingView], ground: Ground, threa
             alpha = render(splats, View.from_camera(camera), threads=threads).alpha
             alpha = avg_pool2d(alpha[None, None], GAP_WINDOW, 1, GAP_WINDOW // 2)[0, 0].numpy()
         empty = alpha < 0.5
+        points, spacing = road_seen(ground, camera, empty)
+        road.append(points)
+        road_sizes.append(spacing)
         empty[1::2] = empty[:, 1::2] = False
         rays = pixel_rays(camera)[empty]
-        points, arrives = meet_ground(ground, camera.position, rays)
-        depths = (points - camera.position) @ camera.world_from_camera[:3, 2]
-        road.append(points[arrives])
-        road_sizes.append(depths[arrives] * VOXEL_PIXELS / camera.K[0, 0])
+        arrives = meet_ground(ground, camera.position, rays)[1]
         far.append(rays[~arrives])
         far_colors.append(view.pixels[empty][~arrives] / 255)
         far_seen.append(~view.hidden[empty][~arrives])

@@ -50,15 +50,18 @@ class Street:
             _inverse(self._poses.matrix(i)) @ view.viewmat, view.intrinsics, view.width, view.height
         )
         rendering = render(self._splats.splats(), refined, threads=threads)
-        rgb = rendering.rgb + (1 - rendering.alpha)[..., None] * self._sky_behind(i, camera)
-        return rgb * self._gain(self.frames[i].camera_name), rendering
+        # Plane by plane, as the renderer stores them.
+        rgb = rendering.rgb.permute(2, 0, 1) + (1 - rendering.alpha) * self._sky_behind(i, camera)
+        name = self.frames[i].camera_name
+        if name != self._cameras[0]:
+            rgb = rgb * self._gain(name)[:, None, None]
+        return rgb.permute(1, 2, 0), rendering
 
     def step(self, factor: float) -> None:
         """One step along the gradients, rates times ``factor``."""
         self._splats.step(factor)
         self._poses.step(factor)
         if self._log_gains.grad is not None:
-            self._log_gains.grad[0] = 0  # the main camera says what white is
             self._gain_optimizer.step()
             self._gain_optimizer.zero_grad(set_to_none=True)
 
@@ -111,13 +114,13 @@ class Street:
         return _rigid(six.detach().double().numpy())
 
     def _sky_behind(self, i: int, camera: Camera) -> Tensor:
-        """[H, W, 3] of the sky; its pixels are so large that the correction of a pose does not matter."""
+        """[3, H, W] of the sky; its pixels are so large that the correction of a pose does not matter."""
         key = i, camera.width
         if key not in self._skies:
             coarse = camera.resize(-(-camera.width // SKY_STRIDE), -(-camera.height // SKY_STRIDE))
             self._skies[key] = torch.from_numpy(sky_image(self.sky, coarse)).permute(2, 0, 1)[None]
         size = (camera.height, camera.width)
-        return interpolate(self._skies[key], size, mode="bilinear", align_corners=False)[0].permute(1, 2, 0)
+        return interpolate(self._skies[key], size, mode="bilinear", align_corners=False)[0]
 
 
 def show_background(

@@ -4,7 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from dwgs.scene import Camera
 from dwgs.scene.ground import Ground
+from dwgs.scene.sky import pixel_rays
 
 REACH = 150.0
 """Rays that meet the ground farther away than this [m] show the distance, not the road."""
@@ -12,6 +14,8 @@ ROUNDS = 6
 """Of the fixed-point iteration that finds where a ray meets the ground."""
 TOLERANCE = 0.2
 """How well it is found [m]; rays that graze a rise do worse and are given up."""
+COLUMN_STRIDE, SUBROWS = 2, 4
+"""Pixels between rays across, and rays per pixel down: the road is seen at a grazing angle."""
 NEIGHBOURS = 48
 """Known pieces of road that tell the colour of an unknown one."""
 
@@ -31,6 +35,24 @@ def meet_ground(
         points = origin + depth[:, None] * rays
     settled = np.abs(points[:, 2] - ground.height(points[:, :2])) < TOLERANCE
     return points, (rays[:, 2] < 0) & (depth > 0) & (depth < REACH) & settled
+
+
+def road_seen(
+    ground: Ground, camera: Camera, mask: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Ground [R, 3] that the pixels of ``mask`` [H, W] look at, and how far apart its points may lie [R] [m].
+
+    A pixel far away is a long thin strip of road. Points may be as far apart as the side of a square of the
+    same area, and rows are subdivided to be that dense.
+    """
+    fine = camera.resize(camera.width // COLUMN_STRIDE, camera.height * SUBROWS)
+    rays = pixel_rays(fine)[mask.repeat(SUBROWS, 0)[:, : fine.width * COLUMN_STRIDE : COLUMN_STRIDE]]
+    points, arrives = meet_ground(ground, camera.position, rays)
+    points, rays = points[arrives], rays[arrives]
+    depth = (points - camera.position) @ camera.world_from_camera[:3, 2]
+    across = depth / camera.K[0, 0]
+    steepness = np.maximum(-rays[:, 2], 1e-3) / np.linalg.norm(rays, axis=1)
+    return points, COLUMN_STRIDE * across / np.sqrt(steepness)
 
 
 def continue_colors(
