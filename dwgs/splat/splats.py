@@ -193,22 +193,22 @@ class Rendering:
         return self.depth / self.alpha.clamp_min(1e-10)
 
 
+def write_planes(out: Tensor, rgb: Tensor | None, depth: Tensor | None, last: Tensor | None) -> None:
+    """Fill ``out`` [5, H', W'] of whole tiles from [H, W, 3], [H, W], [H, W]; zeros outside and for None."""
+    images = (None if rgb is None else rgb.permute(2, 0, 1), depth, last)
+    for plane, image in zip((out[:3], out[3], out[4]), images, strict=True):
+        height, width = (0, 0) if image is None else image.shape[-2:]
+        plane[..., height:, :] = 0
+        plane[..., :height, width:] = 0
+        if image is not None:
+            plane[..., :height, :width] = image
+
+
 def planes(rgb: Tensor, depth: Tensor, last: Tensor) -> Tensor:
-    """[5, H', W'] contiguous float32 from [H, W, 3], [H, W], [H, W]: whole tiles, zeros outside the image."""
-    height, width = depth.shape
-    out = torch.empty(5, *whole_tiles(height, width), device=rgb.device)
+    """The same in memory of its own."""
+    out = torch.empty(5, *whole_tiles(*depth.shape), device=rgb.device)
     write_planes(out, rgb, depth, last)
     return out
-
-
-def write_planes(out: Tensor, rgb: Tensor, depth: Tensor, last: Tensor) -> None:
-    """The same into ``out``."""
-    height, width = depth.shape
-    out[:, height:] = 0
-    out[:, :, width:] = 0
-    out[:3, :height, :width] = rgb.permute(2, 0, 1)
-    out[3, :height, :width] = depth
-    out[4, :height, :width] = last
 
 
 def whole_tiles(height: int, width: int) -> tuple[int, int]:

@@ -35,6 +35,7 @@ _PRELUDE = f"""
     const int plane = stride * ((height + 15) / 16 * 16);
     const int corner = tile_y * stride + tile_x;
     const int rows = height - tile_y < 16 ? height - tile_y : 16;
+    const int *isects = bins.isect_from_sorted.data, *gaussians = bins.gaussian_from_isect.data;
     const row px = column + (tile_x + 0.5f);
     const int begin = bins.ranges.data[tile][0], end = bins.ranges.data[tile][1];
 
@@ -79,8 +80,8 @@ _GAUSSIAN = """
             for (int y = 0; y < rows; ++y) lit |= alive[y] = any(T[y] >= stop);
             if (!lit) break;
         }
-        const int isect = bins.isect_from_sorted.data[k];
-        const int gaussian = bins.gaussian_from_isect.data[isect];
+        const int isect = isects[k], gaussian = gaussians[isect];
+        if (k + 8 < end) __builtin_prefetch(&records.data[gaussians[isects[k + 8]]]);  // they lie anywhere
         const float* g = (const float*)&records.data[gaussian];
         const row dx = px - g[0];
         const row u_x = dx * dx * (-0.0625f * g[2]);
@@ -129,6 +130,20 @@ _FORWARD = f"""
 
 _ADJOINT = f"""
 {_PRELUDE}
+    typedef float half __attribute__((vector_size(32)));
+    typedef float quarter __attribute__((vector_size(16)));
+    auto fold = [](row r) -> quarter {{
+        const half h = *(half*)&r + *((half*)&r + 1);
+        return *(quarter*)&h + *((quarter*)&h + 1);
+    }};
+    auto pair = [](quarter a, quarter b) -> quarter {{
+        return __builtin_shufflevector(a, b, 0, 4, 1, 5) + __builtin_shufflevector(a, b, 2, 6, 3, 7);
+    }};
+    auto sums = [&](row r0, row r1, row r2, row r3) -> quarter {{  // of four rows in one go, transposing on the way
+        const quarter a = pair(fold(r0), fold(r1)), b = pair(fold(r2), fold(r3));
+        return __builtin_shufflevector(a, b, 0, 1, 4, 5) + __builtin_shufflevector(a, b, 2, 3, 6, 7);
+    }};
+
     // what the light still to come brings to the loss: known in full at the start, spent Gaussian by Gaussian
     row rest[16], v[16][5];
     for (int y = 0; y < rows; ++y) {{
@@ -167,25 +182,20 @@ _ADJOINT = f"""
             for (int j = 0; j < 10; ++j) slot[j] = 0.0f;
             continue;
         }}
-        auto sum = [](row r) -> float {{
-            typedef float half __attribute__((vector_size(32)));
-            typedef float quarter __attribute__((vector_size(16)));
-            const half h = *(half*)&r + *((half*)&r + 1);
-            const quarter q = *(quarter*)&h + *((quarter*)&h + 1);
-            return (q[0] + q[2]) + (q[1] + q[3]);
-        }};
         const row s_x = s * dx;
-        const float m = sum(s), m_x = sum(s_x), m_y = sum(s_y);
-        slot[0] = g[2] * m_x + g[3] * m_y;
-        slot[1] = g[3] * m_x + g[4] * m_y;
-        slot[2] = -0.5f * sum(s_x * dx);
-        slot[3] = -sum(s_y * dx);
-        slot[4] = -0.5f * sum(s_yy);
-        slot[5] = m / g[5];
-        for (int c = 0; c < 4; ++c) slot[6 + c] = sum(v_c[c]);
+        const quarter m1 = sums(s_x, s_y, s_x * dx, s_y * dx);
+        const quarter m0 = sums(s, s_yy, zero, zero);
+        const quarter color = sums(v_c[0], v_c[1], v_c[2], v_c[3]);
+        slot[0] = g[2] * m1[0] + g[3] * m1[1];
+        slot[1] = g[3] * m1[0] + g[4] * m1[1];
+        slot[2] = -0.5f * m1[2];
+        slot[3] = -m1[3];
+        slot[4] = -0.5f * m0[1];
+        slot[5] = m0[0] / g[5];
+        for (int c = 0; c < 4; ++c) slot[6 + c] = color[c];
     }}
     for (; k < end; ++k) {{  // behind the last light
-        float* slot = (float*)&slots.data[bins.isect_from_sorted.data[k]];
+        float* slot = (float*)&slots.data[isects[k]];
         for (int j = 0; j < 10; ++j) slot[j] = 0.0f;
     }}
 """

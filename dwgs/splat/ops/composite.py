@@ -45,16 +45,18 @@ class _Composite(torch.autograd.Function):
         image = torch.empty(5, *whole_tiles(view.height, view.width), device=records.device)
         with torch_stream(records.device):
             binned = bin(records, view, threads)
-            _draw("composite", view, layers, threads, binned, [_records(records), _flat(image)])
-        ctx.view, ctx.layers, ctx.threads, ctx.binned = view, layers, threads, binned
+            inputs = [_canvas(view, layers), binned.to_warp(), _records(records), _flat(image)]
+            _draw("composite", inputs, binned, threads)
+        ctx.inputs, ctx.binned, ctx.threads = inputs, binned, threads
         ctx.counts = [len(p) if need else 0 for p, need in zip(parts, needs, strict=True)]
         ctx.save_for_backward(records, image)
+        ctx.set_materialize_grads(False)
         inside = image[:, : view.height, : view.width]
         return inside[:3].permute(1, 2, 0), inside[3], inside[4]
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grad_outputs: Tensor):  # pyright: ignore[reportIncompatibleMethodOverride]
+    def backward(ctx: Any, *grad_outputs: Tensor | None):  # pyright: ignore[reportIncompatibleMethodOverride]
         records, image = (t.detach() for t in ctx.saved_tensors)
         binned: Binned = ctx.binned
         where, trainable = records.device, sum(ctx.counts)
@@ -63,36 +65,37 @@ class _Composite(torch.autograd.Function):
         split = _SCHEMES[where.type].SLOTS
         slots = scratch("slots", 10 * split * len(binned.gaussian_from_isect), torch.float32, where)
         in_slots = wp.from_torch(slots.view(-1, 10), dtype=slot10, return_ctype=True)
-        inputs = [_records(records), _flat(image), _flat(v_image), trainable, in_slots]
+        inputs = [*ctx.inputs, _flat(v_image), trainable, in_slots]
         v_records = torch.empty(trainable, 12, device=where)
         order = wp.from_torch(binned.gaussian_from_rank, return_ctype=True)
         ends = wp.from_torch(binned.ends, return_ctype=True)
         to_gather = [in_slots, order, ends, split, _records(v_records)]
         with torch_stream(where):
-            _draw("composite_adjoint", ctx.view, ctx.layers, ctx.threads, binned, inputs)
+            _draw("composite_adjoint", inputs, binned, ctx.threads)
             launch(gather, len(records), to_gather, wp.device_from_torch(where), ctx.threads)
         v_parts = v_records.split(ctx.counts)
         return None, None, None, *(v if len(v) else None for v in v_parts)
 
 
-def _draw(
-    name: str, view: View, layers: Layers | None, threads: int, binned: Binned, inputs: list[Any]
-) -> None:
+def _draw(name: str, inputs: list[Any], binned: Binned, threads: int) -> None:
     """Run one of the two loops over all tiles, in the scheme of the device."""
     where = binned.ranges.device
     device, scheme = wp.device_from_torch(where), _SCHEMES[where.type]
-    canvas = Canvas()
-    canvas.width, canvas.height, canvas.tiles_across = view.width, view.height, view.tiles[0]
-    canvas.layered = int(layers is not None)
-    if layers is not None:
-        canvas.front, canvas.back = wp.from_torch(layers.front.view(-1)), wp.from_torch(layers.back.view(-1))
-    inputs = [canvas, binned.to_warp(), *inputs]
     kernel = getattr(scheme, name)
     if scheme is composite_cpu:
         launch(kernel, binned.chunks(threads * CHUNKS_PER_THREAD), inputs, device, threads)
     else:
         pixels = len(binned.ranges) * composite_cuda.BLOCK
         wp.launch(kernel, pixels, inputs, device=device, block_dim=composite_cuda.BLOCK, record_tape=False)
+
+
+def _canvas(view: View, layers: Layers | None) -> Any:
+    canvas = Canvas()
+    canvas.width, canvas.height, canvas.tiles_across = view.width, view.height, view.tiles[0]
+    canvas.layered = int(layers is not None)
+    if layers is not None:
+        canvas.front, canvas.back = wp.from_torch(layers.front.view(-1)), wp.from_torch(layers.back.view(-1))
+    return canvas
 
 
 def _records(records: Tensor) -> Any:

@@ -38,7 +38,7 @@ class _Project(torch.autograd.Function):
         inputs = [_cloud(tensors), _lens(view, tensors[5]), _records(records)]
         with torch_stream(records.device):
             launch(kernels.project, len(records), inputs, device, threads)
-        ctx.view, ctx.threads = view, threads
+        ctx.inputs, ctx.threads = inputs, threads
         ctx.save_for_backward(*tensors, records)
         return records
 
@@ -51,15 +51,8 @@ class _Project(torch.autograd.Function):
         tasks = -(-len(records) // per_task)
         v_tensors = [torch.empty_like(t) for t in tensors[:5]]
         v_viewmats = torch.empty(tasks, 4, 4, device=records.device)
-        inputs = [
-            _cloud(tensors),
-            _lens(ctx.view, tensors[5]),
-            _records(records),
-            _records(v_records),
-            per_task,
-            _cloud(v_tensors),
-            wp.from_torch(v_viewmats, dtype=wp.mat44, return_ctype=True),
-        ]
+        in_viewmats = wp.from_torch(v_viewmats, dtype=wp.mat44, return_ctype=True)
+        inputs = [*ctx.inputs, _records(v_records), per_task, _cloud(v_tensors), in_viewmats]
         chunks = max(1, min(tasks, ctx.threads * CHUNKS_PER_THREAD))
         bounds = [tasks * k // chunks for k in range(chunks + 1)]
         with torch_stream(records.device):
