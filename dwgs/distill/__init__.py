@@ -1,4 +1,4 @@
 """A vehicle that a scene shows, taken out of it as Gaussians in its own frame; the background is frozen."""
 
 from dwgs.distill.config import DistillConfig as DistillConfig
-from dwgs.distill.distill import distill as distill
+from dwgs.distill.fit import distill as distill
