@@ -66,4 +66,5 @@ def launch(
     others = [_pool.submit(work, command) for command in commands[1:]]
     work(commands[0])
     for other in others:
-        other.result()
+        if not other.cancel():  # a thread that has not begun by now has nothing left to do
+            other.result()

@@ -104,6 +104,12 @@ def test_wrong_shapes_are_named():
         Splats(torch.zeros(5, 3), torch.zeros(5, 3), torch.zeros(5, 3), torch.zeros(5), torch.zeros(5, 1, 3))
 
 
+def test_tensors_of_another_type_are_refused(make_cloud, make_view):
+    splats = make_cloud(n=3)
+    with pytest.raises(InputError, match="float32 on one device, got torch.float64"):
+        render(replace(splats, means=splats.means.double()), make_view())
+
+
 def test_expected_depth_is_the_mean_of_what_is_seen():
     view = View(torch.eye(4), (50.0, 50.0, 10.0, 10.0), 20, 20)
     quats, opacities = torch.eye(4)[:1], torch.tensor([0.5])

@@ -1,5 +1,6 @@
 """The kernels against the specification, and what must not change an image."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 
 import numpy as np
@@ -44,6 +45,22 @@ def test_one_and_two_threads_give_the_same_bits(make_cloud, make_view, leaves, g
         assert torch.equal(getattr(one, name), getattr(two, name))
     for a, b in zip(gradients(one, tensors), gradients(two, tensors), strict=True):
         assert torch.equal(a, b)
+
+
+def test_frames_may_be_rendered_in_several_threads(make_cloud, make_view, leaves, gradients):
+    splats = make_cloud(n=2000)
+    views = [make_view(width=120, height=90, seed=seed) for seed in range(8)]
+    tensors = leaves(splats)
+
+    def step(view):
+        rendering = render(splats, view, threads=1)
+        return [rendering.rgb.detach(), *gradients(rendering, tensors)]
+
+    alone = [step(view) for view in views]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(step, views))
+    for one, other in zip(alone, together, strict=True):
+        assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 def test_the_order_of_gaussians_changes_nothing(make_cloud, make_view, leaves, gradients):

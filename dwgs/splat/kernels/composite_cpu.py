@@ -139,7 +139,7 @@ _ADJOINT = f"""
     auto pair = [](quarter a, quarter b) -> quarter {{
         return __builtin_shufflevector(a, b, 0, 4, 1, 5) + __builtin_shufflevector(a, b, 2, 6, 3, 7);
     }};
-    auto sums = [&](row r0, row r1, row r2, row r3) -> quarter {{  // of four rows in one go, transposing on the way
+    auto sums = [&](row r0, row r1, row r2, row r3) -> quarter {{  // of four rows in one go
         const quarter a = pair(fold(r0), fold(r1)), b = pair(fold(r2), fold(r3));
         return __builtin_shufflevector(a, b, 0, 1, 4, 5) + __builtin_shufflevector(a, b, 2, 3, 6, 7);
     }};

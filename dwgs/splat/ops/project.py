@@ -8,6 +8,7 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from dwgs.scene import InputError
 from dwgs.splat.kernels import project as kernels
 from dwgs.splat.ops.stream import torch_stream
 from dwgs.splat.parallel import CHUNKS_PER_THREAD, launch, load
@@ -25,6 +26,12 @@ def project(splats: Splats, view: View, threads: int = 2) -> Projected:
     drawn.
     """
     tensors = (splats.means, splats.quats, splats.scales, splats.opacities, splats.sh, view.viewmat)
+    for tensor in tensors:
+        if tensor.dtype != torch.float32 or tensor.device != view.viewmat.device:
+            raise InputError(
+                f"splats and viewmat are float32 on one device, got {tensor.dtype} on {tensor.device} "
+                f"and a viewmat on {view.viewmat.device}"
+            )
     return Projected(_Project.apply(view, threads, *tensors))
 
 
