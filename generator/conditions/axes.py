@@ -57,18 +57,18 @@ def convention_of(
     fits = [fit for fit in fits if fit[0] == fits[0][0]]
 
     stated = surface.stated
-    if stated and (fits[0][0], stated.forward[-1], stated.up[-1]) in [(u, a, c) for u, a, _, c in fits]:
-        if forward in (None, stated.forward):
-            return stated, "" if forward is None else "forward as set"
-        return Convention(fits[0][0], stated.up, forward), "forward as set"
-
+    if stated and (fits[0][0], stated.forward, stated.up) in [(u, a, c) for u, a, _, c in fits]:
+        return Convention(fits[0][0], stated.up, forward or stated.forward), ""
+    what = "forward" if stated or unit else "unit and forward"
     found, along, _, up = min(fits, key=lambda fit: _strangeness(surface, fit[2], fit[3], stated))
     if forward:
-        return Convention(found, up, forward), "forward as set"
+        return Convention(found, up, forward), "" if stated or unit else "unit assumed from its size"
     slope = _slope(surface.points, along, up)
     if abs(slope) > 0.05:
-        return Convention(found, up, ("" if slope > 0 else "-") + along), "forward assumed from its shape"
-    return Convention(found, up, along), "forward guessed: its ends look alike"
+        return Convention(
+            found, up, ("" if slope > 0 else "-") + along
+        ), f"{what} assumed from its size and shape"
+    return Convention(found, up, along), f"{what} assumed from its size, front and rear look alike"
 
 
 def matrix(convention: Convention) -> NDArray[np.float64]:

@@ -59,22 +59,22 @@ def project(
 
 @wp.kernel
 def find_nearest(
-    pixels: wp.array(dtype=wp.vec3), radius: float, spacing: float, nearest: wp.array2d(dtype=float)
+    pixels: wp.array(dtype=wp.vec3), radius: float, reach: float, nearest: wp.array2d(dtype=float)
 ):
     """Depth of the nearest surface; a point is stamped so wide that it meets its neighbours. One thread.
 
     Args:
         pixels: (u, v, depth) of each point; depth 0 is skipped.
         radius: Of a disc [px].
-        spacing: Of neighbouring points, times the focal length [m px].
+        reach: Of a point's stamp [m] times the focal length [px].
         nearest: [H, W] depth, infinite at first.
     """
     for i in range(pixels.shape[0]):
         p = pixels[i]
         if p[2] > 0.0:
-            reach = wp.min(wp.max(radius, spacing / p[2]), LARGEST_STAMP)
-            for y in range(wp.max(int(p[1] - reach), 0), wp.min(int(p[1] + reach) + 1, nearest.shape[0])):
-                for x in range(wp.max(int(p[0] - reach), 0), wp.min(int(p[0] + reach) + 1, nearest.shape[1])):
+            wide = wp.min(wp.max(radius, reach / p[2]), LARGEST_STAMP)
+            for y in range(wp.max(int(p[1] - wide), 0), wp.min(int(p[1] + wide) + 1, nearest.shape[0])):
+                for x in range(wp.max(int(p[0] - wide), 0), wp.min(int(p[0] + wide) + 1, nearest.shape[1])):
                     nearest[y, x] = wp.min(nearest[y, x], p[2])
 
 

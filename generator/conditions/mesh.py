@@ -21,6 +21,7 @@ SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
 SAMPLES = 1 << 19
 """Points drawn on a mesh; a power of two, as the Sobol sequence likes it."""
 
+_CREASE = 0.75  # cosine between face and vertex normal: a sharper edge is an edge
 _MAX_FACES = 20_000_000
 
 
@@ -146,12 +147,13 @@ def _corners(mesh: trimesh.Trimesh, transform: NDArray) -> NDArray[np.float64]:
 def _normals(
     mesh: trimesh.Trimesh, transform: NDArray, corners: NDArray, spots: Spots
 ) -> NDArray[np.float64]:
-    """Unit normals [P, 3]: the mesh's smooth ones, where they agree with the face they belong to."""
+    """Unit normals [P, 3]: those of the vertices, but of the face where a vertex is the tip of an edge."""
     edges = corners[:, 1:] - corners[:, :1]
-    flat = _unit(np.cross(edges[:, 0], edges[:, 1]))[spots.face]
-    smooth = _unit(spots.interpolate(mesh, mesh.vertex_normals) @ np.linalg.pinv(transform[:3, :3]))
-    smooth *= np.where((smooth * flat).sum(1, keepdims=True) < 0, -1, 1)
-    return np.where((smooth * flat).sum(1, keepdims=True) > 0.5, smooth, flat)
+    flat = _unit(np.cross(edges[:, 0], edges[:, 1]))[spots.face, None]
+    smooth = _unit(mesh.vertex_normals @ np.linalg.pinv(transform[:3, :3]))[mesh.faces[spots.face]]
+    cosine = (smooth * flat).sum(-1, keepdims=True)
+    smooth = np.where(np.abs(cosine) > _CREASE, smooth * np.sign(cosine), flat)
+    return _unit(np.einsum("pc,pcd->pd", spots.weights, smooth))
 
 
 def _unit(vectors: NDArray) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from generator.conditions import kernels
 DIRECTIONS = 48
 """Viewpoints at infinity, spread evenly over the sky and down to `LOWEST`."""
 
-LOWEST = -0.15
+LOWEST = -0.1
 """z of the lowest direction: nobody looks at a car from further below, but many could look in from there."""
 
 PATCH = 0.1
@@ -18,14 +18,11 @@ PATCH = 0.1
 _ASKED = 3  # of a patch
 
 
-def seen_from_outside(
-    points: NDArray, normals: NDArray, face: NDArray[np.int64], triangles: NDArray
-) -> NDArray[np.int8]:
-    """+1 [P] where the side that the normal faces is seen, -1 where the other is, 0 where neither can be.
+def seen_from_outside(points: NDArray, face: NDArray[np.int64], triangles: NDArray) -> NDArray[np.int8]:
+    """+1 [P] where the side from which corners turn left is seen, -1 where the other is, 0 where neither.
 
     Args:
         points: [P, 3] on the surface [m], z up.
-        normals: [P, 3] unit.
         face: [P] the triangle that each point lies on.
         triangles: [F, 3, 3] corners of every face that hides [m].
     """
@@ -36,11 +33,13 @@ def seen_from_outside(
     by_patch = np.argsort(patch, kind="stable")
     rank = np.arange(len(points)) - np.repeat(np.cumsum(count) - count, count)
     asked = by_patch[rank < _ASKED]
-    sides = _look(points[asked], normals[asked], triangles)
+    corners = triangles[face[asked]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-30)
+    sides = _look(points[asked], normals, triangles)
     votes = np.zeros(len(count), np.int64)
     np.add.at(votes, patch[asked], sides)
-    side = np.sign(votes).astype(np.int8)
-    return side[patch]
+    return np.asarray(votes.clip(-1, 1)[patch], np.int8)
 
 
 def _look(points: NDArray, normals: NDArray, triangles: NDArray) -> NDArray[np.int8]:

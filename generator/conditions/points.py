@@ -66,7 +66,7 @@ def _from_surface(
     if surface.triangles is not None and surface.face is not None and normals is not None:
         normals = normals @ turn.T
         normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-12)
-        side = seen_from_outside(points, normals, surface.face, surface.triangles @ turn.T - center)
+        side = seen_from_outside(points, surface.face, surface.triangles @ turn.T - center)
         if not side.any():
             raise InputError(f"no face of {path.name} can be seen from outside; repair the mesh")
         points, colors, normals = points[side != 0], colors[side != 0], (normals * side[:, None])[side != 0]

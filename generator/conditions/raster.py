@@ -18,6 +18,7 @@ MASK_THRESHOLD = 0.5
 """A pixel belongs to the point mask where the discs cover more than this."""
 
 _LEAST_RADIUS = 0.71  # px: a smaller disc may fall between all pixel centres and vanish
+_STAMP = 1.5  # a point hides what is within so many spacings: random points leave no gap so wide
 _BEHIND = 0.2  # m: points deeper than this behind the nearest are another side of the vehicle
 
 
@@ -31,7 +32,7 @@ class PointRasterizer:
         normals = vehicle.normals if closed else np.zeros((1, 3))
         self._normals = wp.array(np.ascontiguousarray(normals, np.float32), dtype=wp.vec3, device="cpu")
         self._closed = closed
-        self._spacing = _spacing(vehicle.points)
+        self._reach = _STAMP * _spacing(vehicle.points)
         wp.load_module(kernels, device="cpu")  # here, not in a thread: loading is not safe there
 
     def draw(
@@ -55,8 +56,8 @@ class PointRasterizer:
         drawn = np.flatnonzero(pixels[:, 2])
         pixels, colors = pixels[drawn], self._colors[drawn]
         nearest = np.full(shape, np.inf, np.float32)
-        spacing = self._spacing * float(camera.K[0, 0])
-        inputs = [_wrap(pixels, wp.vec3), radius, spacing, _wrap(nearest, wp.float32)]
+        reach = self._reach * float(camera.K[0, 0])
+        inputs = [_wrap(pixels, wp.vec3), radius, reach, _wrap(nearest, wp.float32)]
         wp.launch(kernels.find_nearest, dim=1, inputs=inputs, device="cpu")
 
         column, row = pixels[:, :2].astype(np.int64).T
