@@ -22,7 +22,8 @@ from dwgs.splat import Splats, View, render
 GAP_VIEWS, COLOR_VIEWS = 12, 48
 """At most so many views are searched for gaps, and asked for colours: neighbours see nearly the same."""
 GAP_WINDOW = 7
-"""A gap is where the LiDAR covers less than half of a window of so many pixels."""
+"""A gap is where the LiDAR covers less than `GAP_ALPHA` of a window of so many pixels."""
+GAP_ALPHA = 0.6
 SKY_WINDOW, SKY_CONTRAST = 9, 0.02
 """Sky varies less than this standard deviation within so many pixels; walls and trees vary more."""
 OPACITY, ROAD_OPACITY = 0.8, 0.95
@@ -118,7 +119,7 @@ def find_gaps(lidar: Gaussians, views: list[TrainingView], ground: Ground, threa
         with torch.no_grad():
             alpha = render(splats, View.from_camera(camera), threads=threads).alpha
             alpha = avg_pool2d(alpha[None, None], GAP_WINDOW, 1, GAP_WINDOW // 2)[0, 0].numpy()
-        empty = alpha < 0.5
+        empty = alpha < GAP_ALPHA
         points, spacing = road_seen(ground, camera, empty)
         road.append(points)
         road_sizes.append(spacing)

@@ -83,7 +83,8 @@ def test_the_road_that_was_always_under_traffic_is_filled_and_opaque(drive, fitt
     under = drive.tracks[0].trajectory.at(0.4)[:3, 3] - [0, 0, CAR_SIZE[2] / 2]
     pixel = np.floor(camera.project(under[None])[0][0]).astype(int)
     window = np.s_[pixel[1] - 5 : pixel[1] + 5, pixel[0] - 5 : pixel[0] + 5]
-    assert rendering.alpha.numpy()[window].min() > 0.9
+    assert rendering.alpha.numpy()[window].mean() > 0.95
+    assert rendering.alpha.numpy()[window].min() > 0.8
     error = np.abs(show_background(background, camera, "front", 1) - paint(camera) / 255)[window]
     assert error.mean() < 0.15
     np.testing.assert_allclose(

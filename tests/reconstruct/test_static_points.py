@@ -28,8 +28,9 @@ def test_points_on_a_moving_car_are_dropped_each_at_its_own_time(drive):
     assert not (kept[:, None] == on_car.astype(np.float32)[None]).all(-1).any()
 
 
-def test_people_noise_and_nan_are_not_the_street(drive):
-    sweep = make_drive(frames=1, traffic=False).sweeps[0]
+def test_people_noise_and_nan_are_not_the_street():
+    drive = make_drive(frames=1, traffic=False)
+    sweep = drive.sweeps[0]
     labels = np.zeros(len(sweep.points), np.uint8)
     labels[:10], labels[10:20] = SURFACES.index("person"), SURFACES.index("noise")
     points = sweep.points.copy()
