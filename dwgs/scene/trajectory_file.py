@@ -11,8 +11,8 @@ CSV, angles in radians after ISO 8855 (heading about z, then pitch about y, then
     t,x,y,z,heading,pitch,roll
     0.0,5.0,0.0,0.0,0.0,0.0,0.0
 
-``reference`` names the point of the vehicle that the poses are of: ``box_center`` (also where nothing is said)
-or ``ground_center``, below it on the ground.
+``reference`` names the point of the vehicle that the poses are of: ``box_center`` (where nothing is said) or
+``ground_center``, below it on the ground.
 """
 
 import csv
