@@ -39,7 +39,7 @@ def seen_from_outside(points: NDArray, face: NDArray[np.int64], triangles: NDArr
     sides = _look(points[asked], normals, triangles)
     votes = np.zeros(len(count), np.int64)
     np.add.at(votes, patch[asked], sides)
-    return np.asarray(votes.clip(-1, 1)[patch], np.int8)
+    return votes.clip(-1, 1).astype(np.int8)[patch]
 
 
 def _look(points: NDArray, normals: NDArray, triangles: NDArray) -> NDArray[np.int8]:
@@ -50,7 +50,7 @@ def _look(points: NDArray, normals: NDArray, triangles: NDArray) -> NDArray[np.i
     side = wp.zeros(len(points), dtype=wp.int8, device="cpu")
     inputs = [mesh.id, _vectors(points), _vectors(normals), _vectors(_directions()), side]
     wp.launch(kernels.look_from_outside, dim=len(points), inputs=inputs, device="cpu")
-    return side.numpy()
+    return np.asarray(side.numpy(), np.int8)
 
 
 def _vectors(array: NDArray) -> wp.array:
