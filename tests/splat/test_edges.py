@@ -106,7 +106,7 @@ def test_wrong_shapes_are_named():
 
 def test_tensors_of_another_type_are_refused(make_cloud, make_view):
     splats = make_cloud(n=3)
-    with pytest.raises(InputError, match="float32 on one device, got torch.float64"):
+    with pytest.raises(InputError, match=r"float32 on one device, got torch\.float64"):
         render(replace(splats, means=splats.means.double()), make_view())
 
 

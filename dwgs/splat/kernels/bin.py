@@ -35,43 +35,48 @@ def tile_span(center: float, extent: float, tiles: int) -> wp.vec2i:
 
 
 @wp.kernel
-def depth_keys(
-    first: int, records: wp.array(dtype=record12), keys: wp.array(dtype=float), values: wp.array(dtype=int)
+def find_tiles(
+    first: int,
+    records: wp.array(dtype=record12),
+    tiles: wp.vec2i,
+    # outputs
+    depths: wp.array(dtype=float),
+    order: wp.array(dtype=int),
+    areas: wp.array(dtype=wp.vec4i),
 ):
-    """Centre depth of each Gaussian; what is not drawn goes last."""
+    """Columns and rows of tiles each Gaussian touches, and its centre depth; what is not drawn goes last."""
     i = first + wp.tid()
     record = records[i]
-    key = float(wp.inf)
+    depth = float(wp.inf)
+    area = wp.vec4i()
     if record[10] > 0.0:
-        key = record[9]
-    keys[i] = key
-    values[i] = i
+        depth = record[9]
+        across = tile_span(record[0], record[10], tiles[0])
+        down = tile_span(record[1], record[11], tiles[1])
+        area = wp.vec4i(across[0], across[1], down[0], down[1])
+    depths[i] = depth
+    order[i] = i
+    areas[i] = area
 
 
 @wp.kernel
 def count_tiles(
     first: int,
-    records: wp.array(dtype=record12),
+    areas: wp.array(dtype=wp.vec4i),
     gaussian_from_rank: wp.array(dtype=int),
-    tiles: wp.vec2i,
     # outputs
     counts: wp.array(dtype=int),
 ):
     """Number of tiles each Gaussian touches, by rank in depth."""
     rank = first + wp.tid()
-    record = records[gaussian_from_rank[rank]]
-    count = int(0)  # noqa: RUF046, UP018  (a variable, not a constant)
-    if record[10] > 0.0:
-        across = tile_span(record[0], record[10], tiles[0])
-        down = tile_span(record[1], record[11], tiles[1])
-        count = (across[1] - across[0]) * (down[1] - down[0])
-    counts[rank] = count
+    area = areas[gaussian_from_rank[rank]]
+    counts[rank] = (area[1] - area[0]) * (area[3] - area[2])
 
 
 @wp.kernel
 def emit(
     first: int,
-    records: wp.array(dtype=record12),
+    areas: wp.array(dtype=wp.vec4i),
     gaussian_from_rank: wp.array(dtype=int),
     ends: wp.array(dtype=int),
     tiles: wp.vec2i,
@@ -82,20 +87,15 @@ def emit(
 ):
     """Write the intersections of each Gaussian: tile, own index, Gaussian."""
     rank = first + wp.tid()
-    isect = int(0)  # noqa: RUF046, UP018  (a variable, not a constant)
-    if rank > 0:
-        isect = ends[rank - 1]
-    if isect < ends[rank]:
-        gaussian = gaussian_from_rank[rank]
-        record = records[gaussian]
-        across = tile_span(record[0], record[10], tiles[0])
-        down = tile_span(record[1], record[11], tiles[1])
-        for row in range(down[0], down[1]):
-            for column in range(across[0], across[1]):
-                keys[isect] = row * tiles[0] + column
-                values[isect] = isect
-                gaussian_from_isect[isect] = gaussian
-                isect += 1
+    gaussian = gaussian_from_rank[rank]
+    area = areas[gaussian]
+    isect = ends[rank] - (area[1] - area[0]) * (area[3] - area[2])
+    for row in range(area[2], area[3]):
+        for column in range(area[0], area[1]):
+            keys[isect] = row * tiles[0] + column
+            values[isect] = isect
+            gaussian_from_isect[isect] = gaussian
+            isect += 1
 
 
 @wp.kernel

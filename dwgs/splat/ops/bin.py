@@ -56,15 +56,16 @@ def bin(records: Tensor, view: View, threads: int) -> Binned:
     in_records = wp.from_torch(records, dtype=record12, return_ctype=True)
 
     # the radix sorts want room for twice what they sort
-    keys = wp.from_torch(scratch("depth", 2 * n, torch.float32, where))
+    depths = wp.from_torch(scratch("depth", 2 * n, torch.float32, where))
     ranked = scratch("ranked", 2 * n, torch.int32, where)
     order = wp.from_torch(ranked)
-    launch(kernels.depth_keys, n, [in_records, keys, order], device, threads)
-    wp.utils.radix_sort_pairs(keys, order, n)
+    areas = wp.from_torch(scratch("areas", 4 * n, torch.int32, where).view(n, 4), dtype=wp.vec4i)
+    launch(kernels.find_tiles, n, [in_records, tiles, depths, order, areas], device, threads)
+    wp.utils.radix_sort_pairs(depths, order, n)
 
     ends = torch.empty(n, dtype=torch.int32, device=where)
     in_ends = wp.from_torch(ends)
-    launch(kernels.count_tiles, n, [in_records, order, tiles, in_ends], device, threads)
+    launch(kernels.count_tiles, n, [areas, order, in_ends], device, threads)
     wp.utils.array_scan(in_ends, in_ends, inclusive=True)
     m = int(ends[-1]) if n else 0
 
@@ -73,7 +74,7 @@ def bin(records: Tensor, view: View, threads: int) -> Binned:
     sorted_isects = wp.from_torch(isects)
     gaussian_from_isect = torch.empty(m, dtype=torch.int32, device=where)
     outputs = [tile_keys, sorted_isects, wp.from_torch(gaussian_from_isect)]
-    launch(kernels.emit, n, [in_records, order, in_ends, tiles, *outputs], device, threads)
+    launch(kernels.emit, n, [areas, order, in_ends, tiles, *outputs], device, threads)
     wp.utils.radix_sort_pairs(tile_keys, sorted_isects, m, 0, (tiles_across * tiles_down - 1).bit_length())
 
     ranges = torch.zeros(tiles_across * tiles_down, 2, dtype=torch.int32, device=where)
