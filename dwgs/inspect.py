@@ -44,7 +44,7 @@ def inspect(scene: Scene, path: Path, gaussians: Gaussians | None = None) -> Non
         new_file(path) as draft,
     ):  # VTK complains of a missing screen, then does without
         plotter = pv.Plotter(off_screen=True, window_size=list(SIZE), lighting="none")
-        plotter.set_background(color=_BACKGROUND)
+        plotter.renderer.set_background(_BACKGROUND)
         if gaussians is not None:
             _draw_centres(plotter, gaussians, world_from_ego)
         elif scene.sweeps:
