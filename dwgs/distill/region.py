@@ -8,13 +8,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from dwgs.scene import Camera, Frame, Insertion, Track
-from dwgs.scene.pose import transform_points
+from dwgs.scene.pose import inverse, transform_points
 from dwgs.scene.silhouette import NEAR, box_silhouette
 
 MARGIN = 8
 """Pixels around a reactive mask, or the box of a recorded car, that are supervised too: they stop leaks."""
 APRON = 6
 """Pixels of the window around the region, so that an 11 px SSIM window at its rim sees an image."""
+SAMPLES = 5000
+"""About so many points say how much of the vehicle is in the image."""
 
 
 @dataclass(frozen=True)
@@ -75,19 +77,22 @@ def find_region(
         supervised = _dilated(reactive, MARGIN)
     if not supervised.any():
         return None
-    silhouette = box_silhouette(camera, world_from_vehicle, size)
-    for other, is_nearer in _other_traffic(camera, world_from_vehicle, insertion, tracks):
-        supervised &= ~other if is_nearer else ~other | silhouette
-    if not supervised.any():
-        return None
     window = _window_around(supervised, APRON)
-    return Region(window, window.of(supervised), window.of(reactive))
+    supervised, reactive = window.of(supervised), window.of(reactive)
+    inside = window.camera(camera)
+    silhouette = box_silhouette(inside, world_from_vehicle, size)
+    for other, is_nearer in _other_traffic(inside, world_from_vehicle, insertion, tracks):
+        supervised = supervised & (~other if is_nearer else ~other | silhouette)
+    return Region(window, supervised, reactive) if supervised.any() else None
 
 
 def visible_fraction(camera: Camera, world_from_vehicle: NDArray[np.float64], insertion: Insertion) -> float:
     """Which part of the vehicle's points falls into the image, whatever stands before them."""
-    pixels, depth = camera.project(transform_points(world_from_vehicle, insertion.vehicle.points))
-    inside = (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+    points = insertion.vehicle.points
+    points = points[:: len(points) // SAMPLES + 1]
+    pixels, depth = camera.project(transform_points(world_from_vehicle, points))
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
     return float((inside & (depth > NEAR)).mean())
 
 
@@ -96,16 +101,23 @@ def _other_traffic(camera, world_from_vehicle, insertion, tracks):
 
     A box whose centre lies inside the vehicle's is the vehicle: recordings may hold it once per sensor.
     """
+    vehicle_from_world = inverse(world_from_vehicle)
     own_depth = camera.project(world_from_vehicle[None, :3, 3])[1][0]
     for track in tracks:
         if not track.is_moving or not track.trajectory.covers(camera.time):
             continue
         world_from_other = track.trajectory.at(camera.time)
-        position = np.linalg.inv(world_from_vehicle) @ world_from_other[:, 3]
-        if (np.abs(position[:3]) < insertion.size / 2).all():
-            continue
-        depth = camera.project(world_from_other[None, :3, 3])[1][0]
-        yield box_silhouette(camera, world_from_other, track.size, MARGIN), depth < own_depth
+        is_own = np.abs((vehicle_from_world @ world_from_other)[:3, 3]) < insertion.size / 2
+        pixel, depth = (values[0] for values in camera.project(world_from_other[None, :3, 3]))
+        radius = np.linalg.norm(track.size) / 2
+        reach = camera.K[0, 0] * radius / (depth - radius) + MARGIN if depth > radius else np.inf
+        misses = (
+            depth < -radius
+            or (pixel < -reach).any()
+            or (pixel > np.array([camera.width, camera.height]) + reach).any()
+        )
+        if not (is_own.all() or misses):
+            yield box_silhouette(camera, world_from_other, track.size, MARGIN), depth < own_depth
 
 
 def _dilated(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
