@@ -16,19 +16,13 @@ SH_DC = 0.28209479177387814
 """Y_00: a colour c is the coefficient (c - 0.5) / Y_00."""
 
 
-def discs(
-    points: NDArray[np.float64],
-    sizes: NDArray[np.float64],
-    colors: NDArray[np.float64],
-    opacities: NDArray[np.float64],
-) -> Gaussians:
-    """One disc on each of ``points`` [N, 3] [m], along the surface that its neighbours span.
+def discs(points: NDArray[np.float64], sizes: NDArray[np.float64], opacity: float) -> Gaussians:
+    """One grey disc on each of ``points`` [N, 3] [m], along the surface that its neighbours span.
 
     Args:
         points: At least two.
         sizes: [N] [m] about how far apart points should lie here; bounds the radii.
-        colors: [N, 3] in [0, 1].
-        opacities: [N].
+        opacity: Of all.
     """
     count = min(NEIGHBOURS, len(points) - 1)
     distances, index = KDTree(points).query(points, k=count + 1, workers=-1)
@@ -41,16 +35,13 @@ def discs(
         points.astype(np.float32),
         _quats_onto(axes[:, :, 0]),
         np.stack([radii, radii, thickness], 1).astype(np.float32),
-        opacities.astype(np.float32),
-        sh_of_color(colors),
+        np.full(len(points), opacity, np.float32),
+        sh_of_color(np.full(points.shape, 0.5)),
     )
 
 
 def blobs(
-    points: NDArray[np.float64],
-    radii: NDArray[np.float64],
-    colors: NDArray[np.float64],
-    opacities: NDArray[np.float64],
+    points: NDArray[np.float64], radii: NDArray[np.float64], colors: NDArray[np.float64], opacity: float
 ) -> Gaussians:
     """A round Gaussian of standard deviation ``radii`` [N] [m] at each of ``points`` [N, 3]."""
     quats = np.zeros((len(points), 4), np.float32)
@@ -59,7 +50,7 @@ def blobs(
         points.astype(np.float32),
         quats,
         np.repeat(radii[:, None], 3, 1).astype(np.float32),
-        opacities.astype(np.float32),
+        np.full(len(points), opacity, np.float32),
         sh_of_color(colors),
     )
 

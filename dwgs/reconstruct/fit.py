@@ -10,7 +10,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dwgs.metrics import psnr, ssim
 from dwgs.optimize import (
     Evaluated,
     Event,
@@ -25,8 +24,9 @@ from dwgs.optimize import (
 from dwgs.optimize.growth import sample_errors
 from dwgs.reconstruct.config import ReconstructConfig
 from dwgs.reconstruct.discs import blobs
+from dwgs.reconstruct.evaluate import evaluate
 from dwgs.reconstruct.initialize import initialize
-from dwgs.reconstruct.model import Street, show_background
+from dwgs.reconstruct.model import Street
 from dwgs.reconstruct.sky import SHELL_RADIUS
 from dwgs.reconstruct.static_points import static_points
 from dwgs.reconstruct.views import TrainingView, evenly, read_view, split_frames
@@ -39,6 +39,7 @@ GROWTH = (0.12, 0.25, 0.40)
 """Parts of the schedule after which the cloud grows."""
 GROWTH_VIEWS = 10
 """How many views are searched for errors."""
+SEEDLING_OPACITY = 0.5
 SSIM_SHARE = 0.2
 """Of the photometric loss; the rest is L1."""
 DEPTH_WEIGHT = 0.05
@@ -93,13 +94,16 @@ def reconstruct(
             yield Grown(step, len(street))
 
     background = street.to_background(judging)
-    scores = {
-        "train": _scores(background, evenly(views, JUDGED_VIEWS), config.threads),
-        "heldout": _scores(
-            background, [read_view(scene, frame, NO_POINTS) for frame in judging], config.threads
-        ),
+    judged = evenly(views, JUDGED_VIEWS) + [read_view(scene, frame, NO_POINTS) for frame in judging]
+    report = evaluate(background, judged, {frame.index for frame in judging}, config.threads)
+    rotation, translation = street.pose_corrections()
+    report |= {
+        "gaussians": len(background.gaussians),
+        "steps": config.steps,
+        "pose_correction_rms_deg": round(float(np.degrees(rotation)), 4),
+        "pose_correction_rms_m": round(translation, 5),
+        "seconds": round(time.perf_counter() - begin, 2),
     }
-    report = _report(scores, street, background, config) | {"seconds": round(time.perf_counter() - begin, 2)}
     if report["psnr_heldout"] is not None:
         yield Evaluated(config.steps, report["psnr_heldout"])
     return background, report
@@ -160,36 +164,5 @@ def _seedlings(
         depths[is_sky] = SHELL_RADIUS
         points = camera.position + depths[:, None] * pixel_rays(camera)[rows, columns]
         radii = depths / camera.K[0, 0]
-        clouds.append(blobs(points, radii, view.pixels[rows, columns] / 255, np.full(len(points), 0.5)))
+        clouds.append(blobs(points, radii, view.pixels[rows, columns] / 255, SEEDLING_OPACITY))
     return Gaussians.concatenate(clouds)
-
-
-def _scores(background: Background, views: list[TrainingView], threads: int) -> list[dict[str, Any]]:
-    """PSNR and SSIM of each view, traffic masked out."""
-    scores = []
-    for view in views:
-        name, index = view.frame.camera_name, view.frame.index
-        camera = view.camera.at(background.poses[name, index])
-        shown, target = show_background(background, camera, name, threads), view.pixels / 255
-        shown = np.where(view.hidden[..., None], target, shown)
-        entry = {"camera": name, "frame": index, "psnr": psnr(shown, target, ~view.hidden)}
-        scores.append(entry | {"ssim": ssim(shown, target, ~view.hidden)})
-    return scores
-
-
-def _report(
-    scores: dict[str, list[dict[str, Any]]], street: Street, background: Background, config: ReconstructConfig
-) -> dict[str, Any]:
-    rotation, translation = street.pose_corrections()
-    means = {
-        f"{measure}_{group}": float(np.mean([s[measure] for s in entries])) if entries else None
-        for group, entries in scores.items()
-        for measure in ("psnr", "ssim")
-    }
-    return means | {
-        "gaussians": len(background.gaussians),
-        "steps": config.steps,
-        "pose_correction_rms_deg": float(np.degrees(rotation)),
-        "pose_correction_rms_m": translation,
-        "frames": scores,
-    }

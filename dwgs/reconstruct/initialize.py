@@ -1,6 +1,6 @@
 """The cloud before its first step: LiDAR surfaces, the road in their gaps, a far shell before the sky."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch.nn.functional import avg_pool2d
 
 from dwgs.reconstruct.config import ReconstructConfig
-from dwgs.reconstruct.discs import discs
+from dwgs.reconstruct.discs import discs, sh_of_color
 from dwgs.reconstruct.sky import SHELL_CONTRAST, far_shell, paint_sky
 from dwgs.reconstruct.static_points import pixels_of
 from dwgs.reconstruct.thinning import spacing_in_view, thin
@@ -68,18 +68,18 @@ def initialize(
     """
     points, sizes = lidar_points(scene, static, views, config)
     ground = Ground.from_sweeps(scene.sweeps, scene.ego)
-    lidar = discs(points, sizes, np.full(points.shape, 0.5), np.full(len(points), OPACITY))
+    lidar = discs(points, sizes, OPACITY)
     gaps = find_gaps(lidar, views, ground, config.threads)
     road, road_sizes = thin(gaps.road, gaps.road_sizes)
     points, sizes = np.concatenate([points, road]), np.concatenate([sizes, road_sizes])
-    near = discs(points, sizes, np.full(points.shape, 0.5), np.full(len(points), OPACITY))
+    near = discs(points, sizes, OPACITY)
     colors, evidence = observe_colors(near, views, config.threads)
 
     is_seen = evidence > 0.5
     is_road = np.abs(points[:, 2] - ground.height(points[:, :2])) < ROAD_TOLERANCE
     colors = continue_colors(points, colors, is_seen & is_road, ~is_seen & is_road)
-    opacities = np.where(is_seen, OPACITY, ROAD_OPACITY)
-    near = discs(points, sizes, colors, opacities)[(evidence > 0) | is_road]
+    opacities = np.where(is_seen, OPACITY, ROAD_OPACITY).astype(np.float32)
+    near = replace(near, opacities=opacities, sh=sh_of_color(colors))[(evidence > 0) | is_road]
 
     asphalt = np.median(colors[is_seen & is_road], 0) if (is_seen & is_road).any() else np.full(3, 0.5)
     is_sky = gaps.far_seen & gaps.far_smooth & (gaps.far[:, 2] > 0)

@@ -11,11 +11,11 @@ from dwgs.reconstruct.config import RATES
 from dwgs.scene import Background, Camera, Frame, Gaussians, Scene
 from dwgs.scene.pose import pose
 from dwgs.scene.sky import sky_image
-from dwgs.splat import Rendering, Splats, View, render
+from dwgs.splat import Rendering, View, render
 
 SKY_STRIDE = 4
 """The sky is looked up at every fourth pixel and interpolated: its own pixels are larger."""
-ROTATION_RATE, TRANSLATION_RATE, GAIN_RATE = 1e-4, 1e-3, 2e-3
+ROTATION_RATE, TRANSLATION_RATE, GAIN_RATE = 3e-5, 3e-4, 2e-3
 """Step sizes of camera poses [rad], [m] and of the logarithm of exposure."""
 UNIT_DISTANCE = 10.0
 """The rate of the means holds at this distance from the nearest camera [m], and grows in proportion."""
@@ -121,19 +121,6 @@ class Street:
             self._skies[key] = torch.from_numpy(sky_image(self.sky, coarse)).permute(2, 0, 1)[None]
         size = (camera.height, camera.width)
         return interpolate(self._skies[key], size, mode="bilinear", align_corners=False)[0]
-
-
-def show_background(
-    background: Background, camera: Camera, camera_name: str, threads: int
-) -> NDArray[np.float32]:
-    """The picture [H, W, 3] of a frozen street from any camera."""
-    with torch.no_grad():
-        rendering = render(
-            Splats.from_gaussians(background.gaussians), View.from_camera(camera), threads=threads
-        )
-    sky = sky_image(background.sky, camera)
-    rgb = rendering.rgb.numpy() + (1 - rendering.alpha.numpy())[..., None] * sky
-    return rgb * background.exposure.get(camera_name, np.ones(3, np.float32))
 
 
 def _inverse(a_from_b: Tensor) -> Tensor:

@@ -60,5 +60,4 @@ def far_shell(
     _, first = np.unique(cells, axis=0, return_index=True)
     first = np.sort(first)
     radii = np.full(len(first), 0.5 * spacing * SHELL_RADIUS)
-    opacities = np.full(len(first), SHELL_OPACITY)
-    return blobs(centre + SHELL_RADIUS * directions[first], radii, colors[first], opacities)
+    return blobs(centre + SHELL_RADIUS * directions[first], radii, colors[first], SHELL_OPACITY)

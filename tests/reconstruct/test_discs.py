@@ -1,6 +1,6 @@
 import numpy as np
 
-from dwgs.reconstruct.discs import SH_DC, discs
+from dwgs.reconstruct.discs import SH_DC, discs, sh_of_color
 from dwgs.reconstruct.thinning import spacing_in_view, thin
 from dwgs.scene import Camera
 from dwgs.scene.pose import pose, rotation_from_quat
@@ -12,13 +12,19 @@ def test_discs_lie_in_the_plane_of_their_points_and_close_it():
     along = np.stack([[0, 1, 0], np.cross(normal, [0, 1, 0])])
     points = rng.uniform(-1, 1, (500, 2)) @ along
     n = len(points)
-    cloud = discs(points, np.full(n, 0.1), np.full((n, 3), 0.25), np.full(n, 0.8))
+    cloud = discs(points, np.full(n, 0.1), 0.8)
     thinnest = rotation_from_quat(cloud.quats)[:, :, 2]
     assert np.abs(thinnest @ normal).min() > 0.99
     assert (cloud.scales[:, 2] < 0.5 * cloud.scales[:, 0]).all()
     assert 0.02 < np.median(cloud.scales[:, 0]) < 0.15
-    np.testing.assert_allclose(0.5 + SH_DC * cloud.sh[:, 0], 0.25, atol=1e-6)
-    assert not cloud.sh[:, 1:].any()
+    assert (cloud.opacities == np.float32(0.8)).all()
+
+
+def test_a_colour_is_shown_from_every_side():
+    colors = np.random.default_rng(0).uniform(0, 1, (5, 3))
+    sh = sh_of_color(colors)
+    np.testing.assert_allclose(0.5 + SH_DC * sh[:, 0], colors, atol=1e-6)
+    assert not sh[:, 1:].any()
 
 
 def test_points_are_thinned_to_what_the_nearest_camera_resolves():

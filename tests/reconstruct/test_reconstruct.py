@@ -6,7 +6,7 @@ from toy_drive import CAR_SIZE, HEIGHT, WIDTH, K, make_drive, paint, repaint
 
 from dwgs.optimize import Grown, Step
 from dwgs.reconstruct import ReconstructConfig, moving_mask, reconstruct
-from dwgs.reconstruct.model import show_background
+from dwgs.reconstruct.evaluate import show_background
 from dwgs.reconstruct.views import split_frames
 from dwgs.scene import Camera, InputError
 from dwgs.scene.pose import pose

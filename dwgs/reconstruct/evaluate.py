@@ -1,0 +1,62 @@
+"""How well a frozen street shows what its cameras saw."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from dwgs.metrics import psnr, ssim
+from dwgs.reconstruct.views import TrainingView
+from dwgs.scene import Background, Camera
+from dwgs.scene.sky import sky_image
+from dwgs.splat import Splats, View, render
+
+
+def evaluate(
+    background: Background, views: list[TrainingView], heldout: set[int], threads: int = 2
+) -> dict[str, Any]:
+    """PSNR [dB] and SSIM of every view, traffic masked out; their means over those that taught, judged.
+
+    ``heldout`` names the frames that judge. Means over nothing are None, as are views that are all traffic.
+    """
+    frames = []
+    for view in sorted(views, key=lambda view: (view.frame.camera_name, view.frame.index)):
+        name, index = view.frame.camera_name, view.frame.index
+        camera = view.camera.at(background.poses[name, index])
+        target, shown = view.pixels / 255, ~view.hidden
+        image = np.where(shown[..., None], show_background(background, camera, name, threads), target)
+        scored = shown.any()
+        frames.append(
+            {
+                "camera": name,
+                "frame": index,
+                "heldout": index in heldout,
+                "psnr": round(psnr(image, target, shown), 3) if scored else None,
+                "ssim": round(ssim(image, target, shown), 4) if scored else None,
+            }
+        )
+    means = {
+        f"{measure}_{group}": _mean([f[measure] for f in frames if f["heldout"] == (group == "heldout")])
+        for group in ("heldout", "train")
+        for measure in ("psnr", "ssim")
+    }
+    return means | {"frames": frames}
+
+
+def show_background(
+    background: Background, camera: Camera, camera_name: str, threads: int
+) -> NDArray[np.float32]:
+    """The picture [H, W, 3] of a frozen street from any camera."""
+    with torch.no_grad():
+        rendering = render(
+            Splats.from_gaussians(background.gaussians), View.from_camera(camera), threads=threads
+        )
+    sky = sky_image(background.sky, camera)
+    rgb = rendering.rgb.numpy() + (1 - rendering.alpha.numpy())[..., None] * sky
+    return rgb * background.exposure.get(camera_name, np.ones(3, np.float32))
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return round(float(np.mean(known)), 4) if known else None
