@@ -7,6 +7,7 @@ import torch
 
 from dwgs.scene import InputError
 from dwgs.splat import Splats, View, project, reference, render
+from dwgs.splat.constants import MAX_TANGENT, NEAR
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
@@ -62,6 +63,21 @@ def test_images_of_any_size_equal_the_reference(make_cloud, make_view, leaves, g
     assert ((ours.rgb - theirs.rgb).abs() * inside[..., None]).max() < 5e-6
     for a, b in zip(gradients(ours, tensors, inside), gradients(theirs, tensors, inside), strict=True):
         assert (a - b).norm() <= 2e-5 * b.norm() + 1e-6
+
+
+def test_views_wider_than_the_affine_bound_equal_the_reference(make_cloud, make_view, leaves, gradients):
+    splats, view = make_cloud(n=100), make_view(width=80, height=60)
+    near = view.viewmat.clone()
+    near[2, 3] = 2.0
+    view = replace(view, viewmat=near, intrinsics=(20.0, 20.0, 40.0, 30.0))
+    points = splats.means @ near[:3, :3].T + near[:3, 3]
+    assert ((points[:, :2] / points[:, 2:]).abs() > MAX_TANGENT)[points[:, 2] > NEAR].any()
+    tensors = leaves(splats, view)
+    inside = (~reference.borderline(splats, view)).float()
+    ours, theirs = render(splats, view), reference.render(splats, view)
+    assert ((ours.rgb - theirs.rgb).abs() * inside[..., None]).max() < 5e-6
+    for a, b in zip(gradients(ours, tensors, inside), gradients(theirs, tensors, inside), strict=True):
+        assert (a - b).norm() <= 2e-5 * b.norm()
 
 
 def test_one_gaussian_can_cover_everything(make_view):

@@ -29,7 +29,7 @@ _PRELUDE = f"""
 
     const int width = canvas.width, height = canvas.height;
     const bool layered = canvas.layered;
-    const float *front = canvas.front, *back = canvas.back.data;
+    const float *front = canvas.front.data, *back = canvas.back.data;
     const int stride = canvas.tiles_across * 16;
     const int tile_x = tile % canvas.tiles_across * 16, tile_y = tile / canvas.tiles_across * 16;
     const int plane = stride * ((height + 15) / 16 * 16);

@@ -46,8 +46,9 @@ class _Composite(torch.autograd.Function):
         with torch_stream(records.device):
             binned = bin(records, view, threads)
             inputs = [_canvas(view, layers), binned.to_warp(), _records(records), _flat(image)]
-            _draw("composite", inputs, binned, threads)
-        ctx.inputs, ctx.binned, ctx.threads = inputs, binned, threads
+            spans = binned.chunks(threads * CHUNKS_PER_THREAD)
+            _draw("composite", inputs, spans, records.device, threads)
+        ctx.inputs, ctx.binned, ctx.spans, ctx.threads = inputs, binned, spans, threads
         ctx.counts = [len(p) if need else 0 for p, need in zip(parts, needs, strict=True)]
         ctx.save_for_backward(records, image)
         ctx.set_materialize_grads(False)
@@ -71,21 +72,20 @@ class _Composite(torch.autograd.Function):
         ends = wp.from_torch(binned.ends, return_ctype=True)
         to_gather = [in_slots, order, ends, split, _records(v_records)]
         with torch_stream(where):
-            _draw("composite_adjoint", inputs, binned, ctx.threads)
+            _draw("composite_adjoint", inputs, ctx.spans, where, ctx.threads)
             launch(gather, len(records), to_gather, wp.device_from_torch(where), ctx.threads)
         v_parts = v_records.split(ctx.counts)
         return None, None, None, *(v if len(v) else None for v in v_parts)
 
 
-def _draw(name: str, inputs: list[Any], binned: Binned, threads: int) -> None:
-    """Run one of the two loops over all tiles, in the scheme of the device."""
-    where = binned.ranges.device
+def _draw(name: str, inputs: list[Any], spans: list[int], where: torch.device, threads: int) -> None:
+    """Run one of the two loops over all tiles, cut into ``spans`` of equal work, as the device likes it."""
     device, scheme = wp.device_from_torch(where), _SCHEMES[where.type]
     kernel = getattr(scheme, name)
     if scheme is composite_cpu:
-        launch(kernel, binned.chunks(threads * CHUNKS_PER_THREAD), inputs, device, threads)
+        launch(kernel, spans, inputs, device, threads)
     else:
-        pixels = len(binned.ranges) * composite_cuda.BLOCK
+        pixels = spans[-1] * composite_cuda.BLOCK
         wp.launch(kernel, pixels, inputs, device=device, block_dim=composite_cuda.BLOCK, record_tape=False)
 
 
