@@ -45,7 +45,7 @@ class Distill:
             )
         background = background_folder.read(self.background)
         if self.track is not None:
-            insertion = insertion_of_track(scene, self.track)
+            insertion = insertion_of_track(self.clip.open_whole(), self.track)
         else:
             from generator.conditions import read_insertion
 
@@ -83,7 +83,7 @@ def distill_stage(
     def make(draft: Path, progress: Bar) -> dict:
         from dwgs.distill import DistillConfig, distill
         from dwgs.formats import asset_folder
-        from dwgs.scene.motion_file import write_trajectory
+        from dwgs.scene.trajectory_file import write_trajectory
 
         config = DistillConfig(seed=seed) if steps is None else DistillConfig(seed=seed, steps=steps)
         asset, report = progress.follow(distill(scene, background, insertion, config))

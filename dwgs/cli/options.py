@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,6 +14,8 @@ from dwgs.scene import InputError, Insertion, Scene, Trajectory
 WORKING_SIZE = "720x480"
 """Of the paper: a recording is fitted and edited at this size unless told otherwise."""
 
+STREET_FRAMES = 193
+"""Of the paper's long clips."""
 STREET = "street"
 """Names the embedded street where a drive is asked for, and its own car where a vehicle is."""
 
@@ -33,24 +36,25 @@ class Clip:
 
     def open(self) -> Scene:
         """The selected drive at its working size; pixels are read when they are needed."""
-        from dwgs.datasets import open_scene, resize_scene
+        from dwgs.datasets import resize_scene
         from dwgs.datasets.folder import SCENE_FILE
 
-        if self.is_street:
-            return self.street().scene().select(frames=self._range())
-        scene = open_scene(Path(self.scene))
-        scene = scene.select(list(self.camera) or [scene.main_camera], self._range())
-        if self.size is None and (Path(self.scene) / SCENE_FILE).exists():
+        whole = self.open_whole()
+        scene = whole.select(list(self.camera) or [whole.main_camera], self._range())
+        if self.is_street or (self.size is None and (Path(self.scene) / SCENE_FILE).exists()):
             return scene
         return resize_scene(scene, *self.width_height)
 
+    def open_whole(self) -> Scene:
+        """The drive as it was recorded: every camera, every frame."""
+        from dwgs.datasets import open_scene
+
+        return self.street().scene() if self.is_street else open_scene(Path(self.scene))
+
     def street(self):
         """The embedded street, as long and as large as asked."""
-        from dwgs.street import build_street
-
-        width, height = self.width_height
         frames = self._range()
-        return build_street(frames=frames.stop if frames else 193, width=width, height=height)
+        return _street(frames.stop if frames else STREET_FRAMES, *self.width_height)
 
     @property
     def is_street(self) -> bool:
@@ -109,7 +113,7 @@ class Placement:
 
     def drive(self, scene: Scene, size: np.ndarray) -> Trajectory:
         """The trajectory of a vehicle of that size through that scene."""
-        from dwgs.scene.motion_file import read_trajectory
+        from dwgs.scene.trajectory_file import read_trajectory
         from dwgs.scene.placement import place_ahead
 
         if self.trajectory is not None:
@@ -142,8 +146,9 @@ def author_insertion(
         vehicle, size, note = load_vehicle(path, choice.unit, choice.forward)
         notes.append(note)
     else:
-        track = scene.track(choice.vehicle)
-        vehicle, size = points_of_track(scene, track)
+        whole = clip.open_whole()  # cameras that are not edited saw the vehicle, too
+        track = whole.track(choice.vehicle)
+        vehicle, size = points_of_track(whole, track)
         notes.append(
             f"{choice.vehicle}: recorded {track.category.lower()}, {len(vehicle.points):,} LiDAR points"
         )
@@ -164,6 +169,13 @@ def conflict_notes(scene: Scene, size: np.ndarray, trajectory: Trajectory) -> li
         f"the inserted vehicle overlaps recorded track {id} in frames {first}-{last}; --left, --ahead move it"
         for id, first, last in conflicts(scene, size, trajectory)
     ]
+
+
+@cache
+def _street(frames: int, width: int, height: int):
+    from dwgs.street import build_street
+
+    return build_street(frames=frames, width=width, height=height)
 
 
 Flat = tyro.conf.arg(name="")

@@ -37,7 +37,7 @@ class Render:
         from viewer.scene_graph import SceneGraph
 
         from dwgs.formats import asset_folder, background_folder
-        from dwgs.scene.motion_file import read_trajectory
+        from dwgs.scene.trajectory_file import read_trajectory
         from dwgs.video import write_lossless, write_mp4
 
         scene = self.clip.open()

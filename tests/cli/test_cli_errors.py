@@ -55,7 +55,7 @@ def test_a_vehicle_behind_the_camera_in_every_frame(refused):
     assert "behind" in refused("insert", "street", "--vehicle", "street", "--ahead", "-40", *TOY)
 
 
-@pytest.mark.parametrize("frames", ["8-3", "all", "900-950"])
+@pytest.mark.parametrize("frames", ["8-3", "all", "3", "-1-4"])
 def test_frames_that_are_not_there(refused, frames):
     assert refused("insert", "street", "--vehicle", "street", "--frames", frames, "--size", "96x64")
 
