@@ -45,7 +45,8 @@ class TrainingView:
         blocks = self.pixels[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3)
         hidden = self.hidden[: 2 * height, : 2 * width].reshape(height, 2, width, 2)
         K = np.diag([0.5, 0.5, 1]) @ self.camera.K
-        index = self.depth_pixels // 2
+        # One depth a pixel: gradients of two would be added up in whichever order threads arrive.
+        index, first = np.unique(self.depth_pixels // 2, axis=0, return_index=True)
         inside = (index < (height, width)).all(1)
         return TrainingView(
             self.frame,
@@ -53,7 +54,7 @@ class TrainingView:
             np.round(blocks.mean((1, 3), np.float32)).astype(np.uint8),
             np.asarray(hidden.any((1, 3))),
             index[inside],
-            self.depths[inside],
+            self.depths[first[inside]],
         )
 
 
