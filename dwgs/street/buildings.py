@@ -10,8 +10,9 @@ from dwgs.street.shape import Shape, box
 
 WALLS = (
     ((146, 82, 62), BRICK), ((122, 70, 58), BRICK), ((170, 118, 88), BRICK), ((178, 160, 132), BRICK),
-    ((222, 206, 176), PLASTER), ((206, 178, 138), PLASTER), ((196, 204, 206), PLASTER), ((214, 190, 178), PLASTER),
-    ((176, 190, 172), PLASTER), ((232, 226, 214), PLASTER), ((164, 178, 192), PLASTER), ((208, 152, 118), PLASTER),
+    ((222, 206, 176), PLASTER), ((206, 178, 138), PLASTER), ((196, 204, 206), PLASTER),
+    ((214, 190, 178), PLASTER), ((176, 190, 172), PLASTER), ((232, 226, 214), PLASTER),
+    ((164, 178, 192), PLASTER), ((208, 152, 118), PLASTER),
 )  # fmt: skip
 FRAMES = ((238, 236, 230), (226, 222, 210), (60, 64, 66), (92, 72, 56), (236, 232, 222))
 ROOFS = ((120, 66, 50), (86, 84, 88), (104, 92, 84))
@@ -41,7 +42,7 @@ def build_house(palette: Palette, x: float, front: float, width: float, rng: np.
     )
     blank = palette.add(replace(walls, windows=(0.0, 0.0, 0.0)))
     is_pale = sum(frame) > 400
-    stone = palette.add(Material(tuple(c // 2 + 112 for c in frame) if is_pale else (198, 190, 178), PLASTER))
+    stone = palette.add(Material((228, 222, 212) if is_pale else (198, 190, 178), PLASTER))
     pieces = [_fronted(box((x, low, 0), (x + width, high, top), blank), facing, palette.add(walls))]
 
     def ledge(z: float, height: float, reach: float) -> Shape:
@@ -60,7 +61,7 @@ def build_house(palette: Palette, x: float, front: float, width: float, rng: np.
 
 
 def _roof(
-    palette: Palette, x: tuple[float, float], y: list[float], z: float, rng: np.random.Generator
+    palette: Palette, x: tuple[float, float], y: tuple[float, float], z: float, rng: np.random.Generator
 ) -> Shape:
     """A ridge along the street, and a chimney."""
     tiles = palette.add(Material(ROOFS[rng.integers(len(ROOFS))], PLASTER))

@@ -53,22 +53,26 @@ class CarDesign:
 
 SEDAN = CarDesign(
     (4.62, 1.82, 1.45), (-1.36, 1.36),
-    ((-2.31, 0.80), (-2.24, 1.02), (-1.72, 1.07), (-0.86, 1.40), (-0.30, 1.45), (0.22, 1.41), (1.12, 0.99), (1.75, 0.90), (2.20, 0.74), (2.31, 0.55)),
+    ((-2.31, 0.80), (-2.24, 1.02), (-1.72, 1.07), (-0.86, 1.40),
+     (-0.30, 1.45), (0.22, 1.41), (1.12, 0.99), (1.75, 0.90), (2.20, 0.74), (2.31, 0.55)),
     (-1.66, -0.90, 0.26, 1.06), 0.93,
 )  # fmt: skip
 HATCH = CarDesign(
     (4.12, 1.78, 1.50), (-1.26, 1.27),
-    ((-2.06, 0.80), (-2.02, 1.02), (-1.80, 1.22), (-1.42, 1.44), (-0.40, 1.50), (0.20, 1.45), (1.08, 1.01), (1.60, 0.92), (1.98, 0.76), (2.06, 0.55)),
+    ((-2.06, 0.80), (-2.02, 1.02), (-1.80, 1.22), (-1.42, 1.44),
+     (-0.40, 1.50), (0.20, 1.45), (1.08, 1.01), (1.60, 0.92), (1.98, 0.76), (2.06, 0.55)),
     (-1.93, -1.48, 0.24, 1.02), 0.95,
 )  # fmt: skip
 SUV = CarDesign(
     (4.60, 1.90, 1.70), (-1.36, 1.38),
-    ((-2.30, 0.90), (-2.26, 1.16), (-2.08, 1.36), (-1.74, 1.64), (-0.50, 1.70), (0.20, 1.65), (1.02, 1.18), (1.70, 1.08), (2.20, 0.90), (2.30, 0.62)),
+    ((-2.30, 0.90), (-2.26, 1.16), (-2.08, 1.36), (-1.74, 1.64),
+     (-0.50, 1.70), (0.20, 1.65), (1.02, 1.18), (1.70, 1.08), (2.20, 0.90), (2.30, 0.62)),
     (-2.18, -1.80, 0.24, 0.96), 1.08, 0.36,
 )  # fmt: skip
 VAN = CarDesign(
     (4.95, 1.96, 1.98), (-1.50, 1.52),
-    ((-2.475, 0.95), (-2.45, 1.40), (-2.40, 1.80), (-2.25, 1.96), (-0.50, 1.98), (0.75, 1.92), (1.55, 1.22), (2.05, 1.06), (2.40, 0.86), (2.475, 0.60)),
+    ((-2.475, 0.95), (-2.45, 1.40), (-2.40, 1.80), (-2.25, 1.96),
+     (-0.50, 1.98), (0.75, 1.92), (1.55, 1.22), (2.05, 1.06), (2.40, 0.86), (2.475, 0.60)),
     (-2.42, -2.33, 0.82, 1.50), 1.12, 0.34,
 )  # fmt: skip
 DESIGNS = (SEDAN, HATCH, SUV, VAN)
@@ -76,7 +80,7 @@ DESIGNS = (SEDAN, HATCH, SUV, VAN)
 
 def build_car(design: CarDesign) -> Shape:
     """A car in its own frame (box centre, x forward, y left, z up), its materials the part numbers."""
-    length, width, height = design.size
+    _, width, height = design.size
     pieces = [_shell(design), _underbody(design), *_fittings(design)]
     for x in design.axles:
         for side in (-1, 1):
@@ -119,8 +123,7 @@ def _seams(design: CarDesign) -> NDArray[np.float64]:
 
 def _shell(design: CarDesign) -> Shape:
     """The painted skin with its windows: one smooth surface through cross-sections."""
-    length, width, height = design.size
-    half, w = design.half, width / 2
+    half, w = design.half, design.size[1] / 2
     x = _stations(design)
     top_x, top_z = np.array(design.roof).T
     top = PchipInterpolator(top_x, top_z)(x)
@@ -180,7 +183,7 @@ def _shell(design: CarDesign) -> Shape:
 
 
 def _cap(section: NDArray, facing: int) -> Shape:
-    """Closes an end of the shell from its left to its right half: lamps at the corners, a grille or a bumper."""
+    """Closes an end of the shell, from its left to its right half: lamps, a grille or a bumper."""
     half = (len(section) + 1) // 2
     left, right = section[:half], section[::-1][:half]
     s = np.array([0, 0.1, 0.2, 0.32, 0.5, 0.68, 0.8, 0.9, 1])[None, :, None]
@@ -197,8 +200,7 @@ def _cap(section: NDArray, facing: int) -> Shape:
 
 def _underbody(design: CarDesign) -> Shape:
     """What fills the car between its wheels: dark, and seen through the arches."""
-    length, width, height = design.size
-    half, w = design.half, width / 2
+    half, w = design.half, design.size[1] / 2
     tub = box((-half + 0.25, -w + 0.30, 0.24), (half - 0.25, w - 0.30, design.belt - 0.15), TRIM)
     floor = box((-half + 0.2, -w + 0.12, 0.21), (half - 0.2, w - 0.12, 0.30), TRIM)
     gaps = [x + sign * (design.wheel + 0.05) for x in design.axles for sign in (-1, 1)]
@@ -215,7 +217,8 @@ def _wheel(radius: float, side: int) -> Shape:
     """A tyre and a rim of ten spokes about the origin; its face looks to +y for side 1."""
     profile = np.array([
         [0.0, -0.10], [radius - 0.06, -0.10], [radius - 0.015, -0.085], [radius, -0.05], [radius, 0.05],
-        [radius - 0.015, 0.085], [radius - 0.06, 0.10], [radius - 0.105, 0.095], [radius - 0.11, 0.06], [0.0, 0.06],
+        [radius - 0.015, 0.085], [radius - 0.06, 0.10],
+        [radius - 0.105, 0.095], [radius - 0.11, 0.06], [0.0, 0.06],
     ])  # fmt: skip
     tyre = Shape.of(trimesh.creation.revolve(profile, sections=20), TYRE, smooth=True)
     pieces = [tyre]
@@ -233,8 +236,7 @@ def _wheel(radius: float, side: int) -> Shape:
 
 def _fittings(design: CarDesign) -> list[Shape]:
     """Plates, mirrors, handles."""
-    length, width, height = design.size
-    half, w = design.half, width / 2
+    half, w = design.half, design.size[1] / 2
     rear_z = 0.74 * design.belt
     pieces = [
         box((half - 0.05, -0.26, 0.36), (half + 0.012, 0.26, 0.46), PLATE),
@@ -260,7 +262,7 @@ def sample_surface(shape: Shape, palette: Palette, count: int, seed: int) -> Veh
     mesh = trimesh.Trimesh(
         shape.corners.reshape(-1, 3), np.arange(3 * len(shape)).reshape(-1, 3), process=False
     )
-    points, faces = trimesh.sample.sample_surface(mesh, count, seed=seed)
+    points, faces = trimesh.sample.sample_surface(mesh, count, seed=seed)[:2]
     weights = trimesh.triangles.points_to_barycentric(mesh.triangles[faces], points)
     normals = np.einsum("nk,nkd->nd", weights, shape.normals[faces])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

@@ -15,7 +15,7 @@ SPEED = 7.0
 
 def key_times(frames: int) -> NDArray[np.float64]:
     """Times of key poses [s]: from the start of the first sweep to the end of the last, two per frame."""
-    return np.arange(2 * frames + 1) * (PERIOD / 2)
+    return (PERIOD / 2) * np.arange(2 * frames + 1, dtype=np.float64)
 
 
 def along_path(times: NDArray, x: ArrayLike, y: ArrayLike, z: float, oncoming: bool = False) -> Trajectory:
@@ -61,7 +61,7 @@ def oncoming_trajectory(frames: int, height: float, start: float, speed: float) 
 
 
 def inserted_trajectory(frames: int, height: float) -> Trajectory:
-    """Alongside in the left lane, then ahead to 17 m, then in the ego lane: seen from the side to the rear."""
+    """Alongside in the left lane, then 17 m ahead, then in the ego lane: seen from side to rear."""
     times = key_times(frames)
     s = times / times[-1]
     ahead = 9.0 - 1.2 * _ease(s, 0.0, 0.25) + 10.5 * _ease(s, 0.25, 0.62)

@@ -1,3 +1,4 @@
+# type: ignore  (Warp compiles this file, and its types are not Python's)
 """Patterns averaged over the footprint of a pixel: exact for bars and joints, faded for noise."""
 
 import warp as wp
@@ -11,6 +12,7 @@ def bar(x: float, width: float, low: float, high: float) -> float:
 
 @wp.func
 def bars_below(x: float, period: float, low: float, high: float) -> float:
+    """Length covered, between 0 and x, by bars that repeat with a period."""
     cell = wp.floor(x / period)
     return cell * (high - low) + wp.clamp(x - cell * period - low, 0.0, high - low)
 

@@ -1,3 +1,4 @@
+# type: ignore  (Warp compiles this file, and its types are not Python's)
 """The Warp kernels: pixels, depth and LiDAR returns."""
 
 import warp as wp
@@ -6,10 +7,13 @@ from dwgs.street.light import Ray, encode, expose, shade
 from dwgs.street.raycast import World, cast
 from dwgs.street.sky import sky
 
+wp.config.log_level = wp.LOG_ERROR  # standard output belongs to the programs
 wp.set_module_options({"enable_backward": False})
 
-CONTRAST = wp.constant(0.04)
-"""Neighbours that differ by more (of 1, square-root encoded) and lie on different things are sampled again."""
+FAINT = wp.constant(0.04)
+"""Neighbours on different things whose colours (square-root encoded) differ by more are sampled again ..."""
+STRONG = wp.constant(0.22)
+"""... with the first half of the pattern, and with all of it if they differ by more than this."""
 GREY = wp.constant(wp.vec3(0.2122, 0.2122, 0.2122))
 """Linear light of sRGB 127, behind a body drawn alone."""
 
@@ -97,27 +101,26 @@ def draw(
 
 
 @wp.func
-def is_edge(
+def contrast_of_edge(
     row: int,
     column: int,
     colors: wp.array2d(dtype=wp.vec3),
     ranges: wp.array2d(dtype=float),
     kinds: wp.array2d(dtype=int),
-) -> bool:
-    """Whether one of the four neighbours shows another thing in another colour."""
+) -> float:
+    """The largest difference to those of the four neighbours that show another thing."""
+    contrast = wp.float32(0.0)
     for i in range(4):
         step = 2 * (i % 2) - 1
-        r = row + wp.where(i < 2, step, 0)
-        c = column + wp.where(i < 2, 0, step)
-        if r >= 0 and c >= 0 and r < colors.shape[0] and c < colors.shape[1]:
-            a = ranges[row, column]
-            b = ranges[r, c]
-            is_other = kinds[row, column] != kinds[r, c] or wp.abs(a - b) > 0.08 * wp.min(a, b)
-            if is_other or kinds[r, c] == 0:
-                for k in range(3):
-                    if wp.abs(wp.sqrt(colors[row, column][k]) - wp.sqrt(colors[r, c][k])) > CONTRAST:
-                        return True
-    return False
+        r = wp.clamp(row + wp.where(i < 2, step, 0), 0, colors.shape[0] - 1)
+        c = wp.clamp(column + wp.where(i < 2, 0, step), 0, colors.shape[1] - 1)
+        a = ranges[row, column]
+        b = ranges[r, c]
+        if kinds[row, column] != kinds[r, c] or wp.abs(a - b) > 0.08 * wp.min(a, b) or kinds[r, c] == 0:
+            for k in range(3):
+                difference = wp.abs(wp.sqrt(colors[row, column][k]) - wp.sqrt(colors[r, c][k]))
+                contrast = wp.max(contrast, difference)
+    return contrast
 
 
 @wp.kernel
@@ -139,18 +142,20 @@ def refine(
     last = world.bodies.shape[0] - 1
     color = colors[row, column]
     covered = wp.where(bodies[row, column] == last, 1.0, 0.0)
-    if is_edge(row, column, colors, ranges, kinds):
+    contrast = contrast_of_edge(row, column, colors, ranges, kinds)
+    if contrast > FAINT:
         total = wp.vec3()
-        count = int(0)
-        for i in range(pattern.shape[0]):
+        count = wp.int32(0)
+        samples = wp.where(contrast > STRONG, pattern.shape[0], pattern.shape[0] / 2)
+        for i in range(samples):
             jitter = pattern[i]
             sun = wp.normalize(world.sun + wp.vec3(jitter[2], -jitter[2], jitter[3]))
             sample = look_through(world, eye, float(column) + jitter[0], float(row) + jitter[1], sun)
             total += sample.color
             if sample.body == last:
                 count += 1
-        color = total / float(pattern.shape[0])
-        covered = float(count) / float(pattern.shape[0])
+        color = total / float(samples)
+        covered = float(count) / float(samples)
     for i in range(3):
         pixels[row, column, i] = wp.uint8(255.0 * encode(color[i]) + 0.5)
     share[row, column] = wp.uint8(255.0 * covered + 0.5)

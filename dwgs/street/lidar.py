@@ -37,7 +37,11 @@ def take_sweep(stage: Stage, ego: Trajectory, index: int, seed: int) -> LidarSwe
     directions = _directions(azimuths)
     ranges = np.zeros((AZIMUTHS, len(ELEVATIONS)), np.float32)
     labels = np.zeros((AZIMUTHS, len(ELEVATIONS)), np.uint8)
-    inputs = [stage.at(times), transforms(world_from_sensor), wp.array(directions, dtype=wp.vec3, device="cpu")]
+    inputs = [
+        stage.at(times),
+        transforms(world_from_sensor),
+        wp.array(directions, dtype=wp.vec3, device="cpu"),
+    ]
     outputs = [wp.array(a, device="cpu", copy=False) for a in (ranges, labels)]
     wp.launch(kernels.sweep, ranges.shape, [*inputs, REACH, *outputs], device="cpu", record_tape=False)
     column, beam = np.nonzero(ranges > NEAREST)

@@ -1,3 +1,4 @@
+# type: ignore  (Warp compiles this file, and its types are not Python's)
 """From a hit to its colour: sun with cast shadow, skylight, bounced light, mirrored surroundings, haze."""
 
 import warp as wp
@@ -42,7 +43,7 @@ class Shaded:
 @wp.func
 def openness(world: World, point: wp.vec3) -> float:
     """Share of skylight that reaches the ground beside and under vehicles: their boxes, softly."""
-    share = float(1.0)
+    share = wp.float32(1.0)
     for i in range(world.contacts.shape[0]):
         pose = world.contacts[i]
         centre = wp.transform_get_translation(pose)
@@ -82,7 +83,7 @@ def shade(world: World, hit: Hit, ray: Ray, sun: wp.vec3) -> Shaded:
             shaded.is_lit = True
             light = SUNLIGHT * facing
     open = 0.72 + 0.28 * wp.clamp(patch.point[2] / 10.0, 0.0, 1.0)  # the street is a canyon
-    if hit.body == 0 and look.surface == GROUND:
+    if look.surface == GROUND:
         open *= openness(world, patch.point)
     light = light + mix(BOUNCED, SKYLIGHT, 0.5 + 0.5 * normal[2]) * open
     color = wp.cw_mul(texel.albedo, light)

@@ -52,19 +52,17 @@ class Look:
 class Palette:
     """Numbers materials; equal ones share a number."""
 
-    materials: list[Material] = field(default_factory=list)
-    """Row by row."""
+    rows: dict[Material, int] = field(default_factory=dict)
+    """Material to number, in order."""
 
     def add(self, material: Material) -> int:
         """The number of this material."""
-        if material not in self.materials:
-            self.materials.append(material)
-        return self.materials.index(material)
+        return self.rows.setdefault(material, len(self.rows))
 
     def looks(self) -> wp.array:
         """The rows as kernels read them."""
         rows = []
-        for m in self.materials:
+        for m in self.rows:
             look = Look()
             look.color, look.accent = wp.vec3(*linear(m.color)), wp.vec3(*linear(m.accent))
             look.origin, look.windows = wp.vec3(*m.origin), wp.vec3(*m.windows)
@@ -74,7 +72,7 @@ class Palette:
 
     def colors(self) -> np.ndarray:
         """[M, 3] uint8 sRGB."""
-        return np.array([m.color for m in self.materials], np.uint8)
+        return np.array([m.color for m in self.rows], np.uint8)
 
 
 def linear(srgb: tuple[int, int, int]) -> np.ndarray:

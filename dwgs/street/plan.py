@@ -15,13 +15,13 @@ from dwgs.street.road import (
     PAVEMENT,
     RIGHT_KERB,
     build_bollard,
+    build_floor,
+    build_kerbs,
     build_lamp,
-    build_road,
     build_sign,
 )
 from dwgs.street.shape import Shape
 from dwgs.street.trees import build_tree
-from dwgs.street.world import Vehicle
 
 PAINTS = (
     (188, 190, 192), (34, 36, 40), (226, 226, 224), (122, 24, 28), (32, 58, 106), (96, 100, 104),
@@ -38,13 +38,27 @@ AHEAD = 190.0
 
 
 @dataclass(frozen=True)
+class Vehicle:
+    """A car on the road: moving ones are bodies of their own, parked ones belong to the still world."""
+
+    shape: Shape
+    """In its own frame."""
+    size: tuple[float, float, float]
+    """(length, width, height) of its box [m]."""
+    trajectory: Trajectory
+    """Pose of the box centre."""
+
+
+@dataclass(frozen=True)
 class Plan:
     """A street, not yet on the device."""
 
     palette: Palette
     """Looks."""
+    floor: Shape
+    """The ground: level pieces that face up."""
     still: Shape
-    """All that stands but the cars."""
+    """All that stands on it but the cars."""
     parked: tuple[Vehicle, ...]
     """Cars at the kerbs."""
     movers: tuple[Vehicle, ...]
@@ -59,7 +73,8 @@ def draw_plan(seed: int, frames: int) -> Plan:
     palette = Palette()
     start, stop = -BEHIND, float(ego_x(key_times(frames))[-1]) + AHEAD
     right_front, left_front = RIGHT_KERB - PAVEMENT, LEFT_KERB + PAVEMENT
-    pieces = [build_road(palette, start - 20, stop + 40)]
+    ends = start - 20, stop + 40
+    pieces = [build_kerbs(palette, *ends)]
     for front in (right_front, left_front):
         x = start
         while x < stop:
@@ -108,4 +123,12 @@ def draw_plan(seed: int, frames: int) -> Plan:
         movers.append(Vehicle(shape, design.size, oncoming_trajectory(frames, design.size[2], begin, speed)))
     hero = paint_car(build_car(SEDAN), palette, HERO_PAINT)
     origin = Trajectory(times[:1], np.eye(4)[None])
-    return Plan(palette, Shape.join(pieces), tuple(parked), tuple(movers), Vehicle(hero, SEDAN.size, origin))
+    still = Shape.join(pieces)
+    return Plan(
+        palette,
+        build_floor(palette, *ends),
+        still,
+        tuple(parked),
+        tuple(movers),
+        Vehicle(hero, SEDAN.size, origin),
+    )

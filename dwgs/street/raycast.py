@@ -1,3 +1,4 @@
+# type: ignore  (Warp compiles this file, and its types are not Python's)
 """Rays to triangles: what a ray meets, and whether the sun is seen."""
 
 import warp as wp
@@ -12,7 +13,7 @@ FAR = wp.constant(2000.0)
 
 @wp.struct
 class Body:
-    """A rigid piece of the world: body 0 is all that stands still."""
+    """A rigid piece of the world: 0 is the floor, 1 all that stands on it, the others move."""
 
     mesh: wp.uint64
     first_face: int
@@ -52,11 +53,14 @@ class Hit:
 
 
 @wp.func
-def passes(pose: wp.transform, radius: float, origin: wp.vec3, direction: wp.vec3) -> bool:
-    """Whether a ray misses the ball about a body's origin: cheaper than to ask its mesh."""
-    away = wp.transform_get_translation(pose) - origin
+def may_meet(world: World, i: int, moment: int, origin: wp.vec3, direction: wp.vec3) -> bool:
+    """Whether it is worth asking the mesh of a body: no rising ray meets the floor."""
+    if i == 0:
+        return direction[2] < 0.0
+    away = wp.transform_get_translation(world.poses[i, moment]) - origin
     along = wp.max(wp.dot(away, direction), 0.0)
-    return wp.length_sq(away - direction * along) > radius * radius
+    radius = world.bodies[i].radius
+    return wp.length_sq(away - direction * along) < radius * radius
 
 
 @wp.func
@@ -68,7 +72,7 @@ def cast(world: World, moment: int, only: int, origin: wp.vec3, direction: wp.ve
     for i in range(world.bodies.shape[0]):
         body = world.bodies[i]
         pose = world.poses[i, moment]
-        if (only >= 0 and only != i) or passes(pose, body.radius, origin, direction):
+        if (only >= 0 and only != i) or not may_meet(world, i, moment, origin, direction):
             continue
         back = wp.transform_inverse(pose)
         o = wp.transform_point(back, origin)
@@ -95,12 +99,10 @@ def cast(world: World, moment: int, only: int, origin: wp.vec3, direction: wp.ve
 def is_free(world: World, origin: wp.vec3, direction: wp.vec3) -> bool:
     """Whether a ray leaves the street without meeting anything."""
     for i in range(world.bodies.shape[0]):
-        body = world.bodies[i]
-        pose = world.poses[i, 0]
-        if not passes(pose, body.radius, origin, direction):
-            back = wp.transform_inverse(pose)
+        if may_meet(world, i, 0, origin, direction):
+            back = wp.transform_inverse(world.poses[i, 0])
             o = wp.transform_point(back, origin)
             d = wp.transform_vector(back, direction)
-            if wp.mesh_query_ray_anyhit(body.mesh, o, d, FAR):
+            if wp.mesh_query_ray_anyhit(world.bodies[i].mesh, o, d, FAR):
                 return False
     return True

@@ -9,7 +9,7 @@ from dwgs.street.material import ASPHALT, GRASS, GROUND, SLABS, Material, Palett
 from dwgs.street.shape import Shape, box, ellipsoid, grid_surface, pole
 
 LANE = 3.4
-"""Width of a lane [m]. The ego lane is centred on y = 0, the next lane to the left on 3.4, oncoming traffic on 6.8."""
+"""Width of a lane [m]: the ego lane is centred on y = 0, then come the left lane and the oncoming one."""
 RIGHT_KERB = -1.5 * LANE + 1.2
 """y of the right kerb [m]: half a lane, then a parking bay of 2.2 m."""
 LEFT_KERB = 2.5 * LANE + 2.2
@@ -22,7 +22,7 @@ PAINT_HEIGHT = 0.004
 
 
 LONGEST = 12.0
-"""Strips are cut into pieces [m]: a triangle as long as the street would lie in the way of every ray's search."""
+"""Strips are cut into pieces [m]: triangles as long as the street would be in the way of every search."""
 
 
 def rectangle(x: tuple[float, float], y: tuple[float, float], z: float, material: int) -> Shape:
@@ -44,19 +44,25 @@ def kerb(x: tuple[float, float], y: tuple[float, float], material: int) -> Shape
     return Shape.join(sides)
 
 
-def build_road(palette: Palette, start: float, stop: float) -> Shape:
-    """Everything under wheels and feet, from x = start to x = stop [m]."""
+def build_kerbs(palette: Palette, start: float, stop: float) -> Shape:
+    """The stones between the carriageway and the pavements."""
+    stone = palette.add(Material((178, 176, 170), SLABS, (110, 108, 104), surface=GROUND))
+    return Shape.join([
+        kerb((start, stop), (RIGHT_KERB - 0.15, RIGHT_KERB), stone),
+        kerb((start, stop), (LEFT_KERB, LEFT_KERB + 0.15), stone),
+    ])  # fmt: skip
+
+
+def build_floor(palette: Palette, start: float, stop: float) -> Shape:
+    """Carriageway, paint, pavements and fields, from x = start to x = stop [m]: level, facing up."""
     asphalt = palette.add(Material((122, 122, 124), ASPHALT, surface=GROUND, origin=(0.0, -1.5 * LANE, 0.0)))
     slabs = palette.add(Material((168, 163, 155), SLABS, (96, 92, 88), surface=GROUND))
-    stone = palette.add(Material((178, 176, 170), SLABS, (110, 108, 104), surface=GROUND))
     grass = palette.add(Material((96, 116, 62), GRASS, surface=GROUND))
     paint = palette.add(Material((225, 225, 220), GRASS, surface=GROUND))
     yellow = palette.add(Material((214, 170, 60), GRASS, surface=GROUND))
     right, left = RIGHT_KERB, LEFT_KERB
     pieces = [
         rectangle((start, stop), (right, left), 0.0, asphalt),
-        kerb((start, stop), (right - 0.15, right), stone),
-        kerb((start, stop), (left, left + 0.15), stone),
         rectangle((start, stop), (right - 20, right - 0.15), KERB_HEIGHT, slabs),
         rectangle((start, stop), (left + 0.15, left + 20), KERB_HEIGHT, slabs),
         rectangle((start - 300, stop + 600), (-600, 600), -0.12, grass),
@@ -85,7 +91,7 @@ def build_road(palette: Palette, start: float, stop: float) -> Shape:
 
 def _arrow(x: float, y: float, z: float, material: int) -> Shape:
     """A painted arrow that points along the road."""
-    corners = np.array([[2.2, 0.45, 0], [2.2, -0.45, 0], [3.6, 0.0, 0]]) + (x, y, z)
+    corners = np.array([[2.2, 0.45, 0], [2.2, -0.45, 0], [3.6, 0.0, 0]]) + np.array([x, y, z])
     head = Shape.of(trimesh.Trimesh(corners, [[0, 1, 2]], process=False), material)
     return Shape.join([rectangle((x, x + 2.2), (y - 0.09, y + 0.09), z, material), head])
 

@@ -84,7 +84,7 @@ def ellipsoid(radii: ArrayLike, material: int, subdivisions: int = 2) -> Shape:
 def grid_surface(points: NDArray, materials: NDArray) -> Shape:
     """A smooth surface through a grid of points [R, C, 3], one material per cell [R-1, C-1].
 
-    Rows run along the surface and columns across it such that row direction x column direction points outward.
+    The direction of the rows times (cross product) that of the columns points outward.
     """
     rows, columns = points.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)

@@ -1,3 +1,4 @@
+# type: ignore  (Warp compiles this file, and its types are not Python's)
 """The sky, the hills under it, and what a shiny surface sees of its surroundings."""
 
 import warp as wp
@@ -19,10 +20,10 @@ def clear_sky(direction: wp.vec3, sun: wp.vec3) -> wp.vec3:
 def cloud_cover(direction: wp.vec3, seed: wp.uint32) -> float:
     """Share of cloud in [0, 1] on a flat layer overhead."""
     flat = wp.vec2(direction[0], direction[1]) / (wp.max(direction[2], 0.0) + 0.18)
-    density = float(0.0)
-    weight = float(0.55)
-    scale = float(1.1)
-    for octave in range(5):
+    density = wp.float32(0.0)
+    weight = wp.float32(0.55)
+    scale = wp.float32(1.1)
+    for octave in range(4):
         density += weight * wp.noise(seed + wp.uint32(octave), flat * scale)
         weight *= 0.55
         scale *= 2.1
@@ -50,7 +51,7 @@ def sky(direction: wp.vec3, sun: wp.vec3, seed: wp.uint32) -> wp.vec3:
 
 @wp.func
 def surroundings(direction: wp.vec3, sun: wp.vec3) -> wp.vec3:
-    """Linear radiance that a mirror in the middle of the street sees: road, facades and sky, all out of focus."""
+    """Linear radiance that a mirror in the street sees: road, facades and sky, all out of focus."""
     above = clear_sky(direction, sun) + wp.vec3(0.12, 0.12, 0.12)
     facades = wp.vec3(0.24, 0.22, 0.20)
     road = wp.vec3(0.15, 0.15, 0.15)

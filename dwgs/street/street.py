@@ -26,9 +26,9 @@ from dwgs.street.car import sample_surface
 from dwgs.street.drive import PERIOD, ego_trajectory, inserted_trajectory
 from dwgs.street.lidar import take_sweep
 from dwgs.street.oracle import Oracle
-from dwgs.street.plan import Plan, draw_plan
+from dwgs.street.plan import Plan, Vehicle, draw_plan
 from dwgs.street.render import render, render_depth
-from dwgs.street.world import Stage, Vehicle, build_stage
+from dwgs.street.world import Stage, build_stage
 
 CAMERA = "front"
 """The street is recorded by one camera."""
@@ -37,7 +37,7 @@ EGO_FROM_CAMERA = pose([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], (1.3, 0.0, 1.6))
 FOCAL = 620 / 720
 """Focal length over image width."""
 SUN_ELEVATION, SUN_AZIMUTH = np.radians(47.0), np.radians(143.0)
-"""Behind the recording car to the left: it lights what drives ahead from behind, and the houses on the right."""
+"""Behind the recording car to the left: it lights the rear of what drives ahead and the right-hand houses."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,9 @@ class Street:
     @cached_property
     def _sweeps(self) -> tuple[LidarSweep, ...]:
         with ThreadPoolExecutor(2) as executor:
-            jobs = [executor.submit(take_sweep, self.stage, self.ego, i, self.seed) for i in range(self.frames)]
+            jobs = [
+                executor.submit(take_sweep, self.stage, self.ego, i, self.seed) for i in range(self.frames)
+            ]
             return tuple(job.result() for job in jobs)
 
     @property
@@ -144,7 +146,7 @@ class Street:
     def vehicle_view(self, camera: Camera, insertion: Insertion, time: float) -> "View":
         """The true vehicle alone on grey 127, lit and shaded as in the street at that time [s]."""
         stage = self.with_vehicle(insertion.trajectory)
-        return _view(stage, replace(camera, time=time), len(stage.movers), True)
+        return _view(stage, replace(camera, time=time), len(stage.shapes) - 1, True)
 
 
 @dataclass(frozen=True)
@@ -161,10 +163,8 @@ class View:
 
 def _view(stage: Stage, camera: Camera, only: int, has_vehicle: bool) -> View:
     picture = render(stage, camera, only)
-    share = (
-        picture.share.astype(np.float32) / 255 if has_vehicle else np.zeros(picture.share.shape, np.float32)
-    )
-    return View(picture.pixels, render_depth(stage, camera, only), share)
+    share = picture.share * np.float32(has_vehicle / 255)
+    return View(picture.pixels, render_depth(stage, camera, only), share.astype(np.float32))
 
 
 def build_street(seed: int = 0, frames: int = 193, width: int = 720, height: int = 480) -> Street:
@@ -174,13 +174,11 @@ def build_street(seed: int = 0, frames: int = 193, width: int = 720, height: int
     """
     if min(frames, width, height) < 1:
         raise InputError(f"a street has at least one frame and one pixel, got {frames} of {width}x{height}")
-    wp.config.quiet = True
-    wp.init()
     wp.load_module(kernels, device="cpu", recursive=False)
     plan = draw_plan(seed, frames)
     flat = np.cos(SUN_ELEVATION)
     sun = np.array([flat * np.cos(SUN_AZIMUTH), flat * np.sin(SUN_AZIMUTH), np.sin(SUN_ELEVATION)])
-    stage = build_stage(plan.still, plan.parked, plan.movers, plan.palette, sun, seed)
+    stage = build_stage(plan, sun, seed)
     return Street(
         frames, width, height, seed, plan, stage, ego_trajectory(frames, np.random.default_rng((seed, 3)))
     )

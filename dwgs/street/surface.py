@@ -1,8 +1,9 @@
+# type: ignore  (Warp compiles this file, and its types are not Python's)
 """Procedural surfaces: colour, mirror and relief at a point, averaged over the footprint of a pixel."""
 
 import warp as wp
 
-from dwgs.street.filtering import bar, bars, dice, ripple2, ripple3
+from dwgs.street.filtering import bar, bars, dice, fade, ripple2, ripple3
 from dwgs.street.material import Look
 
 
@@ -35,11 +36,13 @@ def width_along(patch: Patch, axis: wp.vec3) -> float:
 
 @wp.func
 def mix(a: wp.vec3, b: wp.vec3, share: float) -> wp.vec3:
+    """A linear blend: all a at share 0, all b at 1."""
     return a + (b - a) * share
 
 
 @wp.func
 def asphalt(look: Look, patch: Patch, seed: wp.uint32) -> Texel:
+    """Grain, stains, wheel tracks, repairs and cracks."""
     p = patch.point - look.origin
     wx = width_along(patch, wp.vec3(1.0, 0.0, 0.0))
     wy = width_along(patch, wp.vec3(0.0, 1.0, 0.0))
@@ -62,11 +65,13 @@ def asphalt(look: Look, patch: Patch, seed: wp.uint32) -> Texel:
         outer = bar(p[0], wx, x0 - 0.06, x0 + length + 0.06) * bar(p[1], wy, y0 - 0.06, y0 + span + 0.06)
         tone = tone * (1.0 - 0.18 * inner) - 0.28 * (outer - inner)
     # cracks: where two slow ripples meet
-    ridge = wp.abs(
-        wp.noise(seed + wp.uint32(21), flat * 0.45) + 0.25 * wp.noise(seed + wp.uint32(22), flat * 2.3)
-    )
-    thin = 0.45 * wp.max(width, 0.02)
-    tone -= 0.45 * wp.min(0.02 / width, 1.0) * (1.0 - wp.smoothstep(0.3 * thin, 1.6 * thin, ridge))
+    if width < 0.25:
+        ridge = wp.noise(seed + wp.uint32(21), flat * 0.45) + 0.25 * wp.noise(
+            seed + wp.uint32(22), flat * 2.3
+        )
+        thin = 0.45 * wp.max(width, 0.02)
+        crack = 1.0 - wp.smoothstep(0.3 * thin, 1.6 * thin, wp.abs(ridge))
+        tone -= 0.45 * crack * wp.min(0.02 / width, 1.0) * fade(width, 0.25)
     texel = Texel()
     texel.albedo = look.color * wp.max(tone, 0.25)
     texel.normal = patch.normal
@@ -75,6 +80,7 @@ def asphalt(look: Look, patch: Patch, seed: wp.uint32) -> Texel:
 
 @wp.func
 def slabs(look: Look, patch: Patch, seed: wp.uint32) -> Texel:
+    """Paving stones with joints."""
     p = patch.point - look.origin
     wx = width_along(patch, wp.vec3(1.0, 0.0, 0.0))
     wy = width_along(patch, wp.vec3(0.0, 1.0, 0.0))
@@ -191,6 +197,7 @@ def facade(look: Look, patch: Patch, seed: wp.uint32) -> Texel:
 
 @wp.func
 def leaves(look: Look, patch: Patch, seed: wp.uint32) -> Texel:
+    """Light and dark leaves in clumps, with relief."""
     p = patch.point
     width = wp.length(patch.across) + wp.length(patch.down)
     clump = ripple3(seed + wp.uint32(61), p, width, 0.6)
