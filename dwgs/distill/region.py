@@ -1,13 +1,14 @@
 """Where in a frame the vehicle may be learnt."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import binary_closing, binary_fill_holes, distance_transform_edt
 
 from dwgs.scene import Camera, Frame, Insertion, Track
+from dwgs.scene.insertion import box_corners
 from dwgs.scene.pose import inverse, transform_points
 from dwgs.scene.silhouette import NEAR, box_silhouette
 
@@ -15,6 +16,8 @@ MARGIN = 8
 """Pixels around a reactive mask, or the box of a recorded car, that are supervised too: they stop leaks."""
 APRON = 6
 """Pixels of the window around the region, so that an 11 px SSIM window at its rim sees an image."""
+GAP = 4
+"""Points of the vehicle twice as far apart as this [px] still cover what lies between them."""
 SAMPLES = 5000
 """About so many points say how much of the vehicle is in the image."""
 
@@ -58,20 +61,21 @@ def find_region(
 ) -> Region | None:
     """Of a frame: its reactive mask, or the box of a recorded car, widened; None where nothing is left.
 
-    Pixels of other traffic teach nothing, for the frozen background does not hold it: before the vehicle's
-    box they are left out wherever they are, behind it wherever the box does not cover them.
+    Pixels of other traffic teach nothing, for the frozen background does not hold it: where it reaches
+    nearer than the vehicle's centre all are left out, farther away those that the vehicle does not cover.
+    A recording holds the vehicle itself too, once per sensor: boxes centred in its own are no traffic.
 
     Args:
         frame: With or without a reactive mask.
         camera: Through which the vehicle is seen.
         world_from_vehicle: [4, 4] at the frame's time.
-        insertion: Size of the box, and which recorded track is the vehicle itself.
+        insertion: The vehicle.
         tracks: Of the recording.
     """
-    size = insertion.size
     reactive = frame.reactive_mask
     if reactive is None:
-        supervised = box_silhouette(camera, world_from_vehicle, size, MARGIN)
+        tracks = [t for t in tracks if not _is_inside(t, camera.time, world_from_vehicle, insertion.size)]
+        supervised = box_silhouette(camera, world_from_vehicle, insertion.size, MARGIN)
         reactive = np.zeros_like(supervised)
     else:
         supervised = _dilated(reactive, MARGIN)
@@ -80,9 +84,10 @@ def find_region(
     window = _window_around(supervised, APRON)
     supervised, reactive = window.of(supervised), window.of(reactive)
     inside = window.camera(camera)
-    silhouette = box_silhouette(inside, world_from_vehicle, size)
-    for other, is_nearer in _other_traffic(inside, world_from_vehicle, insertion, tracks):
-        supervised = supervised & (~other if is_nearer else ~other | silhouette)
+    own = _covered(inside, world_from_vehicle, insertion)
+    own_depth = camera.project(world_from_vehicle[None, :3, 3])[1][0]
+    for other, depth in _traffic(inside, tracks):
+        supervised = supervised & (~other if depth < own_depth else ~other | own)
     return Region(window, supervised, reactive) if supervised.any() else None
 
 
@@ -96,28 +101,40 @@ def visible_fraction(camera: Camera, world_from_vehicle: NDArray[np.float64], in
     return float((inside & (depth > NEAR)).mean())
 
 
-def _other_traffic(camera, world_from_vehicle, insertion, tracks):
-    """Silhouettes of recorded boxes on the move, and whether each is nearer than the vehicle.
+def _covered(camera: Camera, world_from_vehicle: NDArray, insertion: Insertion) -> NDArray[np.bool_]:
+    """[h, w] what the vehicle's points cover, gaps between them closed."""
+    pixels, depth = camera.project(transform_points(world_from_vehicle, insertion.vehicle.points))
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1) & (depth > NEAR)
+    column, row = pixels[inside].astype(int).T
+    hit = np.zeros((camera.height, camera.width), bool)
+    hit[row, column] = True
+    closed = np.asarray(binary_fill_holes(binary_closing(np.pad(hit, GAP), iterations=GAP)), bool)
+    return closed[GAP:-GAP, GAP:-GAP]
 
-    A box whose centre lies inside the vehicle's is the vehicle: recordings may hold it once per sensor.
-    """
-    vehicle_from_world = inverse(world_from_vehicle)
-    own_depth = camera.project(world_from_vehicle[None, :3, 3])[1][0]
+
+def _is_inside(track: Track, time: float, world_from_vehicle: NDArray, size: NDArray) -> bool:
+    """Whether the track is the vehicle itself: its centre lies in the vehicle's box."""
+    if not track.trajectory.covers(time):
+        return False
+    position = (inverse(world_from_vehicle) @ track.trajectory.at(time))[:3, 3]
+    return bool((np.abs(position) < np.asarray(size) / 2).all())
+
+
+def _traffic(camera: Camera, tracks: Sequence[Track]) -> Iterator[tuple[NDArray[np.bool_], float]]:
+    """Silhouettes [h, w] of boxes on the move, widened, with the depth [m] of their nearest corner."""
     for track in tracks:
         if not track.is_moving or not track.trajectory.covers(camera.time):
             continue
         world_from_other = track.trajectory.at(camera.time)
-        is_own = np.abs((vehicle_from_world @ world_from_other)[:3, 3]) < insertion.size / 2
-        pixel, depth = (values[0] for values in camera.project(world_from_other[None, :3, 3]))
-        radius = np.linalg.norm(track.size) / 2
-        reach = camera.K[0, 0] * radius / (depth - radius) + MARGIN if depth > radius else np.inf
-        misses = (
-            depth < -radius
-            or (pixel < -reach).any()
-            or (pixel > np.array([camera.width, camera.height]) + reach).any()
-        )
-        if not (is_own.all() or misses):
-            yield box_silhouette(camera, world_from_other, track.size, MARGIN), depth < own_depth
+        pixels, depth = camera.project(transform_points(world_from_other, box_corners(track.size)))
+        if depth.max() < NEAR:
+            continue
+        if depth.min() > NEAR:
+            low, high = pixels.min(0) - MARGIN, pixels.max(0) + MARGIN
+            if (high < 0).any() or (low > (camera.width, camera.height)).any():
+                continue
+        yield box_silhouette(camera, world_from_other, track.size, MARGIN), depth.min()
 
 
 def _dilated(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:

@@ -60,15 +60,24 @@ def test_traffic_before_the_vehicle_teaches_nothing(toy):
     assert not (whole(region, (64, 96)) & covered).any()
 
 
-def test_traffic_behind_the_vehicle_teaches_nothing_beside_it(toy):
+def test_traffic_behind_the_vehicle_teaches_where_the_vehicle_covers_it(toy):
     camera = toy.cameras[5]
     far = track_at([16, -1.5, 0.75])
     _, region = region_of(toy, tracks=[far])
     covered = box_silhouette(camera, far.trajectory.at(camera.time), SIZE)
-    own = box_silhouette(camera, toy.insertion.trajectory.at(camera.time), SIZE)
+    world_from_vehicle = toy.insertion.trajectory.at(camera.time)
     supervised = whole(region, (64, 96))
-    assert not (supervised & covered & ~own).any()
-    assert supervised[own].all()
+    assert (covered & box_silhouette(camera, world_from_vehicle, SIZE)).sum() > 50
+    assert not (supervised & covered & ~box_silhouette(camera, world_from_vehicle, SIZE, 2)).any()
+    assert supervised[box_silhouette(camera, world_from_vehicle, 0.95 * SIZE)].all()
+
+
+def test_traffic_that_runs_into_a_generated_vehicle_teaches_nothing(toy):
+    camera = toy.cameras[5]
+    inside = replace(track_at([0, 0, 0]), trajectory=toy.insertion.trajectory)
+    _, region = region_of(toy, tracks=[inside])
+    supervised = whole(region, (64, 96))
+    assert not (supervised & box_silhouette(camera, inside.trajectory.at(camera.time), SIZE)).any()
 
 
 def test_parked_cars_are_background(toy):
