@@ -42,8 +42,8 @@ class Picture:
 def render(stage: Stage, camera: Camera, only: int = -1, executor: Executor | None = None) -> Picture:
     """The stage at the camera's time.
 
-    ``only`` names the one body to draw (on grey 127), lit as in the street. With an executor its threads share the
-    rows; the bytes are the same.
+    ``only`` names the one body to draw (on grey 127), lit as in the street. With an executor its threads
+    share the rows; the bytes are the same.
     """
     height, width = camera.height, camera.width
     world, eye = stage.at(camera.time, camera.position), _eye(camera, only)
