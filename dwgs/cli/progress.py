@@ -68,7 +68,7 @@ def bar(title: str):
 
 def say(line: str) -> None:
     """One line for the person."""
-    console.print(line, highlight=False)
+    console.print(line, highlight=False, soft_wrap=True)
 
 
 OnProgress = Callable[[int, int], None]

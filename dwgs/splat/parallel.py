@@ -25,8 +25,6 @@ _loaded: set[str] = set()
 _loading = threading.Lock()
 _pool = ThreadPoolExecutor(max_workers=16, thread_name_prefix="splat")
 
-wp.init()
-
 
 def load(device: wp.Device) -> None:
     """Compile or load every kernel for ``device``: loads at the same time lose kernels, so once, alone."""

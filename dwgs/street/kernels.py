@@ -3,11 +3,13 @@
 
 import warp as wp
 
+from dwgs.warp_start import start_warp
+
 from dwgs.street.light import Ray, encode, expose, shade
 from dwgs.street.raycast import World, cast
 from dwgs.street.sky import sky
 
-wp.config.log_level = wp.LOG_ERROR  # standard output belongs to the programs
+start_warp()
 wp.set_module_options({"enable_backward": False})
 
 FAINT = wp.constant(0.04)

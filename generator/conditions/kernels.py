@@ -6,7 +6,9 @@
 
 import warp as wp
 
-wp.config.log_level = wp.LOG_ERROR  # standard output belongs to the programs
+from dwgs.warp_start import start_warp
+
+start_warp()
 wp.set_module_options({"enable_backward": False})
 
 NEAR = wp.constant(0.1)

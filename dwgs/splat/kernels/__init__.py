@@ -1,5 +1,5 @@
 """Warp kernels, one pass per file; they know arrays, not tensors."""
 
-import warp as wp
+from dwgs.warp_start import start_warp
 
-wp.config.log_level = wp.LOG_ERROR  # standard output belongs to the programs
+start_warp()
