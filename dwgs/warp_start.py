@@ -10,8 +10,8 @@ import warp as wp
 def start_warp() -> None:
     """Initialise Warp once; only errors are printed from here on.
 
-    Where no NVIDIA driver is installed, Warp's native code says so on the standard error of every process that
-    starts it, and no setting silences that: the descriptor is turned away while it starts.
+    Where no NVIDIA driver is installed, Warp's native code says so on the standard error of every process
+    that starts it, and no setting silences that: the descriptor is turned away while it starts.
     """
     wp.config.log_level = wp.LOG_ERROR
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)

@@ -3,11 +3,10 @@
 
 import warp as wp
 
-from dwgs.warp_start import start_warp
-
 from dwgs.street.light import Ray, encode, expose, shade
 from dwgs.street.raycast import World, cast
 from dwgs.street.sky import sky
+from dwgs.warp_start import start_warp
 
 start_warp()
 wp.set_module_options({"enable_backward": False})
