@@ -15,8 +15,8 @@ ELEVATIONS = np.radians(
     np.concatenate([np.linspace(-26, -8, 18, False), np.linspace(-8, 3, 34, False), np.linspace(3, 18, 12)])
 )
 """64 beams [rad], densest about the horizon."""
-AZIMUTHS = 1200
-"""Columns per turn: every 0.3 degrees."""
+AZIMUTHS = 900
+"""Columns per turn: every 0.4 degrees."""
 REACH = 110.0
 """Furthest return [m]."""
 NEAREST = 1.5
