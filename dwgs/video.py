@@ -39,9 +39,7 @@ def write_lossless(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float =
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = stored
         for frame in _alike(frames, first.shape):
-            container.mux(
-                stream.encode(VideoFrame.from_ndarray(frame, format=source).reformat(format=stored))
-            )
+            container.mux(stream.encode(VideoFrame.from_ndarray(frame, format=source).reformat(format=stored)))
         container.mux(stream.encode())
 
 
@@ -89,13 +87,9 @@ class LosslessVideo:
             raise InputError(f"'{self.path}' is not a video ({error}); write it again") from None
         codec = self._stream.codec_context
         if codec.name != "ffv1" or codec.pix_fmt not in ("bgr0", "gray"):
-            raise InputError(
-                f"'{self.path}' is {codec.name} {codec.pix_fmt}, not lossless FFV1 in bgr0 or gray"
-            )
+            raise InputError(f"'{self.path}' is {codec.name} {codec.pix_fmt}, not lossless FFV1 in bgr0 or gray")
         if codec.width * codec.height > MAX_PIXELS:
-            raise InputError(
-                f"'{self.path}' claims frames of {codec.width}x{codec.height}, more than can be meant"
-            )
+            raise InputError(f"'{self.path}' claims frames of {codec.width}x{codec.height}, more than can be meant")
         self.width, self.height = codec.width, codec.height
         self._format = "gray" if codec.pix_fmt == "gray" else "rgb24"
         stated = self._container.duration  # microseconds, set when the last frame was written

@@ -20,9 +20,7 @@ def scene_of(has_sweeps: bool) -> Scene:
     return Scene(
         name="drive",
         frames={"front": (Frame(0, "front", camera, lambda: np.zeros((48, 64, 3), np.uint8)),)},
-        ego=Trajectory(
-            np.array([0.0, 1.0]), pose(np.broadcast_to(np.eye(3), (2, 3, 3)), [[0.0, 0, 0], [9, 0, 0]])
-        ),
+        ego=Trajectory(np.array([0.0, 1.0]), pose(np.broadcast_to(np.eye(3), (2, 3, 3)), [[0.0, 0, 0], [9, 0, 0]])),
         sweeps=(sweep,) if has_sweeps else (),
         tracks=(Track("a", "Car", np.array([4.5, 1.8, 1.5]), Trajectory(np.array([0.0, 1.0]), at), True),),
     )

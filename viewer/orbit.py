@@ -24,9 +24,7 @@ BACKDROP = _studio()
 """[H, 1, 3] light ground before a soft grey wall: brightest at the horizon, no edge anywhere."""
 
 
-def orbit_cameras(
-    asset: VehicleAsset, count: int, width: int, height: int, elevation: float = 0.24
-) -> list[Camera]:
+def orbit_cameras(asset: VehicleAsset, count: int, width: int, height: int, elevation: float = 0.24) -> list[Camera]:
     """``count`` cameras once round the asset, which stands in the world's origin at time 0.
 
     All have one distance, just far enough that the box fits into every image; ``elevation`` [rad] is above
@@ -42,9 +40,7 @@ def orbit_cameras(
 
 def _towards_origin(azimuth: float, elevation: float) -> NDArray[np.float64]:
     """``world_from_camera`` rotation [3, 3] of a level camera that looks at the origin from there."""
-    forward = -np.array(
-        [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)]
-    )
+    forward = -np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0])
     return np.stack([right, np.cross(forward, right), forward], axis=1)
 

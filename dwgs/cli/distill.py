@@ -40,9 +40,7 @@ class Distill:
 
         scene = self.clip.open()
         if (self.track is None) == (self.insertion is None):
-            raise InputError(
-                "distill one vehicle: --track ID for a recorded one, --insertion DIR for an edited Scene"
-            )
+            raise InputError("distill one vehicle: --track ID for a recorded one, --insertion DIR for an edited Scene")
         background = background_folder.read(self.background)
         if self.track is not None:
             insertion = insertion_of_track(self.clip.open_whole(), self.track)

@@ -32,10 +32,7 @@ class Generate:
         scene = self.clip.open()
         source = {"clip": clip_key(self.clip), "conditions": fingerprint(self.conditions)}
         generate_stage(scene, self.conditions, source, self.out, self.generator, self.seed)
-        say(
-            f"next: dwgs distill {self.out} --insertion {self.conditions}/insertion "
-            "--background bg/ -o asset/"
-        )
+        say(f"next: dwgs distill {self.out} --insertion {self.conditions}/insertion --background bg/ -o asset/")
 
 
 def generate_stage(

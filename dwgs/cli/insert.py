@@ -42,11 +42,10 @@ class Insert:
 
     def run(self) -> None:
         """Run the chain."""
-        from viewer.scene_graph import SceneGraph
-
         from dwgs.datasets import folder as scene_folder
         from dwgs.formats import asset_folder, background_folder
         from generator import backend
+        from viewer.scene_graph import SceneGraph
 
         start = time.perf_counter()
         backend(self.generator)  # a backend that cannot work says so before an hour is spent

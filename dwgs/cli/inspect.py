@@ -30,9 +30,7 @@ class Inspect:
         cloud = ply.read(path / "gaussians.ply" if path.is_dir() else path) if path else None
         inspect(scene, self.out, cloud)
         frames = scene.frames[scene.main_camera]
-        say(
-            f"{scene.name}: {len(frames)} frames, {len(scene.sweeps)} sweeps, {scene.ego.length:.1f} m driven"
-        )
+        say(f"{scene.name}: {len(frames)} frames, {len(scene.sweeps)} sweeps, {scene.ego.length:.1f} m driven")
         for track in sorted(scene.tracks, key=lambda t: (not t.is_moving, t.category)):
             if track.is_vehicle:
                 size = " x ".join(f"{s:.2f}" for s in track.size)

@@ -66,9 +66,7 @@ class Clip:
         """[px]."""
         match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", self.size or WORKING_SIZE)
         if not match or min(int(match[1]), int(match[2])) < 16:
-            raise InputError(
-                f"--size is width x height of at least 16 px each, as in 720x480; got '{self.size}'"
-            )
+            raise InputError(f"--size is width x height of at least 16 px each, as in 720x480; got '{self.size}'")
         return int(match[1]), int(match[2])
 
     def _range(self) -> range | None:
@@ -87,13 +85,9 @@ class VehicleChoice:
     vehicle: Annotated[str, tyro.conf.arg(metavar="CAR")]
     """A mesh (glTF, OBJ, PLY, ...), a coloured point cloud (PLY), an asset folder, or the id of a recorded
     track; 'street' is the embedded street's own car."""
-    unit: Annotated[Literal["m", "cm", "mm", "in", "ft"] | None, tyro.conf.arg(metavar="m|cm|mm|in|ft")] = (
-        None
-    )
+    unit: Annotated[Literal["m", "cm", "mm", "in", "ft"] | None, tyro.conf.arg(metavar="m|cm|mm|in|ft")] = None
     """Unit of the file, where it is not what was assumed."""
-    forward: Annotated[
-        Literal["x", "-x", "y", "-y", "z", "-z"] | None, tyro.conf.arg(metavar="x|-x|y|-y|z|-z")
-    ] = None
+    forward: Annotated[Literal["x", "-x", "y", "-y", "z", "-z"] | None, tyro.conf.arg(metavar="x|-x|y|-y|z|-z")] = None
     """Axis of the file that points to the vehicle's front, where it is not what was assumed; write
     --forward=-y."""
 
@@ -113,18 +107,20 @@ class Placement:
 
     def drive(self, scene: Scene, size: np.ndarray) -> Trajectory:
         """The trajectory of a vehicle of that size through that scene."""
-        from dwgs.scene.trajectory_file import read_trajectory
         from dwgs.scene.placement import place_ahead
+        from dwgs.scene.trajectory_file import read_trajectory
 
         if self.trajectory is not None:
-            if self.ahead is not None:
-                raise InputError("a vehicle drives by --trajectory or by --ahead, not by both; leave one out")
             return read_trajectory(self.trajectory, size)
-        if self.ahead is None:
-            raise InputError(
-                "nothing says where the vehicle drives; give --trajectory FILE or --ahead METRES"
-            )
+        assert self.ahead is not None, "require() comes first"
         return place_ahead(scene, size, self.ahead, self.left, self.speed)
+
+    def require(self) -> None:
+        """Raise `InputError` unless exactly one way to drive is given."""
+        if self.trajectory is not None and self.ahead is not None:
+            raise InputError("a vehicle drives by --trajectory or by --ahead, not by both; leave one out")
+        if not self.is_given:
+            raise InputError("nothing says where the vehicle drives; give --trajectory FILE or --ahead METRES")
 
     @property
     def is_given(self) -> bool:
@@ -138,6 +134,9 @@ def author_insertion(
     """What the user wants inserted, and what was assumed on the way: one line each."""
     from generator.conditions.points import load_vehicle, points_of_track
 
+    has_own_way = clip.is_street and choice.vehicle == STREET and not placement.is_given
+    if not has_own_way:
+        placement.require()
     notes = []
     path = Path(choice.vehicle)
     if choice.vehicle == STREET:
@@ -149,10 +148,8 @@ def author_insertion(
         whole = clip.open_whole()  # cameras that are not edited saw the vehicle, too
         track = whole.track(choice.vehicle)
         vehicle, size = points_of_track(whole, track)
-        notes.append(
-            f"{choice.vehicle}: recorded {track.category.lower()}, {len(vehicle.points):,} LiDAR points"
-        )
-    if clip.is_street and choice.vehicle == STREET and not placement.is_given:
+        notes.append(f"{choice.vehicle}: recorded {track.category.lower()}, {len(vehicle.points):,} LiDAR points")
+    if has_own_way:
         trajectory = clip.street().insertion().trajectory
     else:
         trajectory = placement.drive(scene, size)

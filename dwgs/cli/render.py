@@ -33,12 +33,11 @@ class Render:
 
     def run(self) -> None:
         """Leave a film."""
-        from viewer.renderer import Renderer
-        from viewer.scene_graph import SceneGraph
-
         from dwgs.formats import asset_folder, background_folder
         from dwgs.scene.trajectory_file import read_trajectory
         from dwgs.video import write_lossless, write_mp4
+        from viewer.renderer import Renderer
+        from viewer.scene_graph import SceneGraph
 
         scene = self.clip.open()
         background = background_folder.read(self.background)
@@ -54,9 +53,7 @@ class Render:
         renderer = Renderer(frames[0].camera.width, frames[0].camera.height)
         graph = SceneGraph(background, actors)
         with bar("render") as progress:
-            pictures = (
-                rendered(renderer, graph, background, frame) for frame in counted(frames, progress.count)
-            )
+            pictures = (rendered(renderer, graph, background, frame) for frame in counted(frames, progress.count))
             write = write_lossless if self.out.suffix == ".mkv" else write_mp4
             write(self.out, pictures, fps(frames))
         say(f"wrote {self.out}")

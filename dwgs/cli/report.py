@@ -98,9 +98,7 @@ def sides(azimuths: Sequence[float]) -> str:
         radius = 90 * math.sqrt(seen / most)
         angles = [2 * math.pi * (i + offset) / count for offset in (-0.5, 0.5)]
         (x0, y0), (x1, y1) = ((-radius * math.sin(a), -radius * math.cos(a)) for a in angles)
-        wedges.append(
-            f'<path d="M0 0L{x0:.1f} {y0:.1f}A{radius:.1f} {radius:.1f} 0 0 0 {x1:.1f} {y1:.1f}Z"/>'
-        )
+        wedges.append(f'<path d="M0 0L{x0:.1f} {y0:.1f}A{radius:.1f} {radius:.1f} 0 0 0 {x1:.1f} {y1:.1f}Z"/>')
     return (
         '<svg viewBox="-110 -110 220 220" width="260" role="img" aria-label="sides seen">'
         '<circle r="90" fill="none" stroke="#dfe3e7"/><circle r="45" fill="none" stroke="#dfe3e7"/>'
@@ -133,13 +131,9 @@ def curves(series: dict[str, Sequence[dict[str, Any]]]) -> str:
         placed = [(*place(p), p["heldout"]) for p in line if p["psnr"] is not None]
         path = " ".join(f"{x:.1f},{y:.1f}" for x, y, _ in placed)
         parts.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="1.5"/>')
-        parts += [
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{color}"/>' for x, y, held in placed if held
-        ]
+        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{color}"/>' for x, y, held in placed if held]
         x, y, _ = placed[-1]
-        parts.append(
-            f'<text x="{x:.1f}" y="{y - 8:.1f}" text-anchor="end" style="fill:{color}">{name}</text>'
-        )
+        parts.append(f'<text x="{x:.1f}" y="{y - 8:.1f}" text-anchor="end" style="fill:{color}">{name}</text>')
     parts.append(f'<text x="{left}" y="{height}">frame {min(frames)}</text>')
     parts.append(f'<text x="{width}" y="{height}" text-anchor="end">frame {max(frames)}</text>')
     return f'<svg viewBox="0 -12 {width} {height + 16}" width="100%">{"".join(parts)}</svg>'

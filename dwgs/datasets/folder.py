@@ -222,9 +222,7 @@ def _sweeps(file: Path, entries: list[dict[str, Any]]) -> tuple[LidarSweep, ...]
                     origin=_floats(entry["origin"], (3,)),
                     time=float(entry["time"]),
                     frame_index=int(entry["frame_index"]),
-                    labels=_array(arrays.get_tensor(f"{i}.labels"), np.uint8, 1)
-                    if entry["has_labels"]
-                    else None,
+                    labels=_array(arrays.get_tensor(f"{i}.labels"), np.uint8, 1) if entry["has_labels"] else None,
                 )
                 for i, entry in enumerate(entries)
             )

@@ -68,13 +68,10 @@ def read(path: Path) -> Scene:
     world_from_local = _poses(path / "lidar", len(stamps))
     ego = Trajectory(stamps - start, world_from_local @ _LOCAL_FROM_EGO)
     frames = {
-        name: _read_camera(path / "camera" / name, start)
-        for name in sorted(_folders(path / "camera"), key=_interest)
+        name: _read_camera(path / "camera" / name, start) for name in sorted(_folders(path / "camera"), key=_interest)
     }
     if not frames:
-        raise InputError(
-            f"'{path / 'camera'}' holds no camera; a PandaSet sequence has front_camera and others"
-        )
+        raise InputError(f"'{path / 'camera'}' holds no camera; a PandaSet sequence has front_camera and others")
     sweeps = tuple(
         _read_sweep(path, number, world_from_local[number], stamps[number], start)
         for number in _numbers(path / "lidar", ".pkl.gz", len(stamps))
@@ -130,9 +127,7 @@ def _read_sweep(path: Path, number: int, world_from_local: NDArray, stamp: float
         times = table["t"].astype(np.float64) - start
         spinning = table["d"] == 0 if "d" in table else np.ones(len(points), bool)
     except (KeyError, ValueError, TypeError):
-        raise InputError(
-            f"'{file}' is a table with the columns x, y, z, t and d, it has {', '.join(table)}"
-        ) from None
+        raise InputError(f"'{file}' is a table with the columns x, y, z, t and d, it has {', '.join(table)}") from None
     keep = spinning & np.isfinite(points).all(1) & np.isfinite(times)
     labels = _read_labels(path / "annotations" / "semseg", number, len(points))
     return LidarSweep(
@@ -151,9 +146,7 @@ def _read_labels(folder: Path, number: int, count: int) -> NDArray[np.uint8] | N
         return None
     classes = read_table(file).get("class")
     if classes is None or len(classes) != count or classes.dtype.kind not in "iu":
-        raise InputError(
-            f"'{file}' has one integer class for each of the sweep's {count} points; fetch both again"
-        )
+        raise InputError(f"'{file}' has one integer class for each of the sweep's {count} points; fetch both again")
     names = _json(folder / "classes.json")
     surface_of = {name: surface for surface, many in _SURFACE_OF_CLASS.items() for name in many.split(", ")}
     table = np.zeros(256, np.uint8)
@@ -183,9 +176,7 @@ def _poses(folder: Path, count: int) -> NDArray[np.float64]:
         positions, quats = np.empty((0, 3)), np.empty((0, 4))
     lengths = np.linalg.norm(quats, axis=1)
     if len(positions) != count or not np.isfinite(positions).all() or not (abs(lengths - 1) < 0.01).all():
-        raise InputError(
-            f"'{folder / 'poses.json'}' has a position and a unit heading for each of {count} stamps"
-        )
+        raise InputError(f"'{folder / 'poses.json'}' has a position and a unit heading for each of {count} stamps")
     return pose(rotation_from_quat(quats), positions)
 
 

@@ -118,9 +118,7 @@ def read_tracks(
     return tuple(_track(one, other, usual, stamps) for one, other in _pairs(seen, twin))
 
 
-def _pairs(
-    seen: dict[str, list[_Sighting]], twin: dict[str, str]
-) -> Iterator[tuple[list[_Sighting], list[_Sighting]]]:
+def _pairs(seen: dict[str, list[_Sighting]], twin: dict[str, str]) -> Iterator[tuple[list[_Sighting], list[_Sighting]]]:
     """Each object once, as the spinning LiDAR saw it and as the other did."""
     done: set[str] = set()
     for id in seen:

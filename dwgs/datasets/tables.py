@@ -62,17 +62,13 @@ def read_table(path: Path) -> dict[str, NDArray]:
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"'{path}' is not a whole gzip file ({error}); fetch it again") from None
     if len(data) > MAX_BYTES:
-        raise InputError(
-            f"'{path}' unpacks to more than {MAX_BYTES >> 20} MB, no table of a recording does; refused"
-        )
+        raise InputError(f"'{path}' unpacks to more than {MAX_BYTES >> 20} MB, no table of a recording does; refused")
     try:
         return _columns(_describe(data))
     except _NotATableError as error:
         raise InputError(f"'{path}' {error}; only plain pandas tables are read") from None
     except Exception as error:  # a broken pickle fails in every way there is
-        raise InputError(
-            f"'{path}' is not a pickled pandas table ({type(error).__name__}: {error})"
-        ) from None
+        raise InputError(f"'{path}' is not a pickled pandas table ({type(error).__name__}: {error})") from None
 
 
 class _NotATableError(Exception):
@@ -140,9 +136,7 @@ def _places(places: _Call) -> slice | NDArray:
 
 def _array(call: _Call) -> NDArray:
     if call.name == "__pyx_unpickle_NDArrayBacked":  # a column of strings wraps an array of objects
-        return _array(
-            next(part for part in call.state if isinstance(part, _Call) and part.name == "_reconstruct")
-        )
+        return _array(next(part for part in call.state if isinstance(part, _Call) and part.name == "_reconstruct"))
     if call.name == "_frombuffer":
         raw, dtype, shape, order = call.args
     elif call.name == "_reconstruct":

@@ -51,9 +51,7 @@ GENERATED = Recipe(
         sh_rest=1.8e-2,
         betas=(0.8, 0.95),
     ),
-    shadow=Rates(
-        means=4e-3, quats=1e-2, scales=3e-2, opacities=0.1, sh_dc=2e-2, sh_rest=0.0, betas=(0.8, 0.95)
-    ),
+    shadow=Rates(means=4e-3, quats=1e-2, scales=3e-2, opacities=0.1, sh_dc=2e-2, sh_rest=0.0, betas=(0.8, 0.95)),
     hold=0.6,
     final=0.05,
     robust=False,
@@ -63,12 +61,8 @@ GENERATED = Recipe(
 """For clean video whose geometry is exact."""
 
 RECORDED = Recipe(
-    body=Rates(
-        means=2e-3, quats=1.6e-2, scales=4e-2, opacities=0.1, sh_dc=4e-2, sh_rest=1e-2, betas=(0.9, 0.99)
-    ),
-    shadow=Rates(
-        means=4e-3, quats=1e-2, scales=3e-2, opacities=0.1, sh_dc=2e-2, sh_rest=0.0, betas=(0.9, 0.99)
-    ),
+    body=Rates(means=2e-3, quats=1.6e-2, scales=4e-2, opacities=0.1, sh_dc=4e-2, sh_rest=1e-2, betas=(0.9, 0.99)),
+    shadow=Rates(means=4e-3, quats=1e-2, scales=3e-2, opacities=0.1, sh_dc=2e-2, sh_rest=0.0, betas=(0.9, 0.99)),
     hold=0.0,
     final=0.05,
     robust=True,

@@ -30,17 +30,15 @@ class Score:
     """[dB] over supervised pixels that the body covers; NaN where it covers none."""
 
 
-def score(
-    shot: Shot, view: View, body: Splats, shadow: Splats, threads: int
-) -> tuple[Score, NDArray[np.float32]]:
+def score(shot: Shot, view: View, body: Splats, shadow: Splats, threads: int) -> tuple[Score, NDArray[np.float32]]:
     """Score one frame, and the window [h, w, 3] as it is rendered."""
     with torch.no_grad():
         vehicle = project(Splats.cat([body, shadow]), view, threads)
         rendered = shot.frozen.composite(vehicle, view, threads).rgb * shot.frozen.gain
         alpha = composite(vehicle[: len(body)], view, None, threads).alpha
-    image, target = rendered.numpy(), shot.target.numpy()
-    supervised = shot.sight.region.supervised
-    frame = shot.sight.frame
+    frame, region = shot.sight.frame, shot.sight.region
+    image, target = rendered.numpy(), region.window.of(frame.pixels).astype(np.float32) / 255
+    supervised = region.supervised
     return Score(
         frame.camera_name,
         frame.index,

@@ -13,7 +13,7 @@ from dwgs.distill.coverage import Coverage
 from dwgs.distill.evaluate import score, summary
 from dwgs.distill.initialize import initialize_body
 from dwgs.distill.layers import FrozenBackground, fingerprint
-from dwgs.distill.model import BoxPoses, Part, body_bounds, shadow_bounds
+from dwgs.distill.model import BODY_SCALES, SHADOW_SCALES, BoxPoses, Part, body_bounds, shadow_bounds
 from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
 from dwgs.optimize import (
@@ -62,8 +62,8 @@ def distill(
     shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
     body = initialize_body(insertion.vehicle, insertion.size, config.gaussians)
     parts = [
-        Part(body, recipe.body, body_bounds(insertion.size)),
-        Part(shadow, recipe.shadow, shadow_bounds(insertion.size, shadow)),
+        Part(body, recipe.body, body_bounds(insertion.size), BODY_SCALES),
+        Part(shadow, recipe.shadow, shadow_bounds(insertion.size, shadow), SHADOW_SCALES),
     ]
     yield Grown(0, len(body) + len(shadow))
 
@@ -141,9 +141,7 @@ def _photometric(rgb: Tensor, shot: Shot, recipe: Recipe, squared_errors: dict[i
     return mse * float(np.clip((mean / squared_errors[i]) ** 0.5, *EVENNESS))
 
 
-def _evaluate(
-    shots: list[Shot], body: Gaussians, shadow: Gaussians, poses: BoxPoses | None, threads: int
-) -> dict:
+def _evaluate(shots: list[Shot], body: Gaussians, shadow: Gaussians, poses: BoxPoses | None, threads: int) -> dict:
     """Scores of every frame, held-out and learnt."""
     splats = Splats.from_gaussians(body), Splats.from_gaussians(shadow)
     scores = []

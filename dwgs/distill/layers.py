@@ -39,6 +39,10 @@ class FrozenView:
         """The window with the vehicle in it, before exposure."""
         return composite([vehicle, self.between], view, self.layers, threads)
 
+    def alone(self, view: View) -> Tensor:
+        """[h, w, 3] the window without the vehicle, exposed."""
+        return composite(self.between, view, self.layers, threads=1).rgb * self.gain
+
 
 class FrozenBackground:
     """A background as the splatter wants it, and where its cameras really are. Nothing is written to it."""

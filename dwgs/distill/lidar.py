@@ -30,10 +30,16 @@ class LidarDepths:
     depths: Tensor
     """[M] along the optical axis [m]."""
 
+    is_bound: bool
+    """Whether nothing may be nearer, rather than everything as near: the frozen street's own depth is not at
+    issue, and a vehicle must not bend it."""
+
     def error(self, rendering: Rendering) -> Tensor:
         """Mean relative difference of the rendered depth, where something is rendered."""
         depth = rendering.expected_depth.reshape(-1)[self.pixels]
-        return ((depth - self.depths).abs() / self.depths).clamp_max(0.5).mean()
+        error = (self.depths - depth) / self.depths
+        error = error.clamp_min(0) if self.is_bound else error.abs()
+        return error.clamp_max(0.5).mean()
 
 
 def static_depths(sweep: LidarSweep, camera: Camera, region: Region) -> LidarDepths | None:
@@ -44,7 +50,7 @@ def static_depths(sweep: LidarSweep, camera: Camera, region: Region) -> LidarDep
         camera: Of the whole image.
         region: Of the same frame.
     """
-    return _in_window(sweep.points, camera, region)
+    return _in_window(sweep.points, camera, region, is_bound=True)
 
 
 def carried_depths(
@@ -60,10 +66,10 @@ def carried_depths(
     in_vehicle = np.einsum("nij,nj->ni", vehicle_from_world[:, :3, :3], points) + vehicle_from_world[:, :3, 3]
     on_car = (np.abs(in_vehicle) < insertion.size / 2 + BOX_MARGIN).all(1)
     moved = in_vehicle[on_car] @ world_from_vehicle[:3, :3].T + world_from_vehicle[:3, 3]
-    return _in_window(moved, camera, region)
+    return _in_window(moved, camera, region, is_bound=False)
 
 
-def _in_window(points: NDArray, camera: Camera, region: Region) -> LidarDepths | None:
+def _in_window(points: NDArray, camera: Camera, region: Region, is_bound: bool) -> LidarDepths | None:
     """Nearest depth per pixel of the window, where it is supervised and not reactive."""
     window = region.window
     pixels, depth = window.camera(camera).project(points)
@@ -77,4 +83,4 @@ def _in_window(points: NDArray, camera: Camera, region: Region) -> LidarDepths |
         return None
     order = np.lexsort((depth, flat))
     unique, first = np.unique(flat[order], return_index=True)
-    return LidarDepths(from_numpy(unique), from_numpy(depth[order][first].astype(np.float32)))
+    return LidarDepths(from_numpy(unique), from_numpy(depth[order][first].astype(np.float32)), is_bound)

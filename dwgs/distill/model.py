@@ -15,8 +15,10 @@ BODY_MARGIN = 0.15
 """How far a body Gaussian's centre may leave the box [m]: mirrors, antennas, annotation."""
 SHADOW_HEIGHT = (-0.05, 0.12)
 """Between which heights above the ground [m] a shadow Gaussian's centre stays."""
-MAX_SCALE = 0.5
-"""No standard deviation of a Gaussian exceeds this [m]."""
+BODY_SCALES = (0.15, 0.15, 0.15)
+"""Largest standard deviations of a body Gaussian [m]: beyond it lies fog."""
+SHADOW_SCALES = (0.3, 0.3, 0.02)
+"""Largest standard deviations of a shadow Gaussian [m]: it stays flat."""
 CUT = 1 / 255
 """A Gaussian of lower opacity is never drawn."""
 
@@ -36,9 +38,12 @@ class Part:
     The layers of the background hold only while they stay there.
     """
 
-    def __init__(self, gaussians: Gaussians, rates: Rates, bounds: NDArray[np.float64]) -> None:
+    def __init__(
+        self, gaussians: Gaussians, rates: Rates, bounds: NDArray[np.float64], max_scales: tuple[float, ...]
+    ) -> None:
         self.bounds = bounds
         self._low, self._high = (torch.from_numpy(corner.astype(np.float32)) for corner in bounds)
+        self._max_scales = torch.tensor(max_scales)
         self._parameters = SplatParameters(gaussians, rates)
         self._average: Tensor | None = None
         self._averaged = 0
@@ -49,8 +54,9 @@ class Part:
     def splats(self) -> Splats:
         """The activated Gaussians, differentiable."""
         splats = self._parameters.splats()
-        means = torch.minimum(torch.maximum(splats.means, self._low), self._high)
-        return replace(splats, means=means, scales=splats.scales.clamp_max(MAX_SCALE))
+        means = _kept(splats.means, torch.clamp(splats.means.detach(), self._low, self._high))
+        scales = _kept(splats.scales, torch.minimum(splats.scales.detach(), self._max_scales))
+        return replace(splats, means=means, scales=scales)
 
     def step(self, factor: float, is_averaged: bool) -> None:
         """One step of Adam, rates times ``factor``; ``is_averaged`` adds it to the mean of `finish`."""
@@ -67,6 +73,11 @@ class Part:
         with torch.no_grad():
             gaussians = self.splats().to_gaussians()
         return gaussians[gaussians.opacities >= CUT]
+
+
+def _kept(free: Tensor, bounded: Tensor) -> Tensor:
+    """The bounded value with the free one's gradient: what has left its bounds can find back."""
+    return free + (bounded - free.detach())
 
 
 def body_bounds(size: NDArray) -> NDArray[np.float64]:

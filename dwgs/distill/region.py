@@ -13,9 +13,9 @@ from dwgs.scene.pose import inverse, transform_points
 from dwgs.scene.silhouette import NEAR, box_silhouette
 
 MARGIN = 8
-"""Pixels around a reactive mask, or the box of a recorded car, that are supervised too: they stop leaks."""
-APRON = 6
-"""Pixels of the window around the region, so that an 11 px SSIM window at its rim sees an image."""
+"""Pixels around a reactive mask, or the box of a recorded car, that are compared too."""
+APRON = 16
+"""Pixels of the window around the region: nothing of the vehicle may leak there."""
 GAP = 4
 """Points of the vehicle twice as far apart as this [px] still cover what lies between them."""
 SAMPLES = 5000
@@ -47,7 +47,9 @@ class Region:
     window: Window
     """Encloses the supervised pixels."""
     supervised: NDArray[np.bool_]
-    """[h, w] pixels that teach and are scored."""
+    """[h, w] pixels that are compared with the frame."""
+    bare: NDArray[np.bool_]
+    """[h, w] pixels where nothing of the vehicle may show: outside the reactive mask, or far from the box."""
     reactive: NDArray[np.bool_]
     """[h, w] pixels that a generator may have repainted; all False in a recorded frame."""
 
@@ -83,12 +85,13 @@ def find_region(
         return None
     window = _window_around(supervised, APRON)
     supervised, reactive = window.of(supervised), window.of(reactive)
+    bare = ~reactive if reactive.any() else ~supervised
     inside = window.camera(camera)
     own = _covered(inside, world_from_vehicle, insertion)
     own_depth = camera.project(world_from_vehicle[None, :3, 3])[1][0]
     for other, depth in _traffic(inside, tracks):
         supervised = supervised & (~other if depth < own_depth else ~other | own)
-    return Region(window, supervised, reactive) if supervised.any() else None
+    return Region(window, supervised, bare, reactive) if supervised.any() else None
 
 
 def visible_fraction(camera: Camera, world_from_vehicle: NDArray[np.float64], insertion: Insertion) -> float:

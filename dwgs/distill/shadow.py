@@ -11,7 +11,7 @@ from dwgs.scene.pose import transform_points
 from dwgs.scene.silhouette import NEAR, box_silhouette
 from dwgs.splat.constants import SH_C0
 
-SPACING = 0.12
+SPACING = 0.08
 """Between shadow Gaussians [m]."""
 LIFT = 0.04
 """Height above the ground [m]: sorted by centre, a disc in the road would sink into it."""
@@ -51,9 +51,7 @@ def _is_exposed(places: NDArray, size: NDArray, sights: Sequence[Sight]) -> NDAr
         with np.errstate(invalid="ignore"):
             in_image = (pixels >= 0).all(1) & (pixels < (sight.camera.width, sight.camera.height)).all(1)
             pixels = pixels - (window.x, window.y)
-            in_window = (
-                (pixels >= 0).all(1) & (pixels < (window.width, window.height)).all(1) & (depth > NEAR)
-            )
+            in_window = (pixels >= 0).all(1) & (pixels < (window.width, window.height)).all(1) & (depth > NEAR)
         could += in_image & (depth > NEAR)
         column, row = np.floor(pixels[in_window]).astype(int).T
         mask = region.reactive if region.reactive.any() else region.supervised

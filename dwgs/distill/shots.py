@@ -51,9 +51,9 @@ class Shot:
     frozen: FrozenView
     """The background there."""
     target: Tensor
-    """[h, w, 3] in [0, 1]."""
+    """[h, w, 3] in [0, 1]: the frame; the background alone where nothing of the vehicle may show."""
     weight: Tensor
-    """[h, w] 1 where supervised, else 0."""
+    """[h, w] 0 on other traffic, else 1."""
     lidar: LidarDepths | None
     """Depths to agree with."""
 
@@ -62,9 +62,7 @@ class Shot:
         return replace(self.view, viewmat=self.view.viewmat @ old_from_new)
 
 
-def find_sights(
-    scene: Scene, background: FrozenBackground, insertion: Insertion, recipe: Recipe
-) -> list[Sight]:
+def find_sights(scene: Scene, background: FrozenBackground, insertion: Insertion, recipe: Recipe) -> list[Sight]:
     """The frames that show the vehicle, camera by camera, in order of time.
 
     Raises `InputError` where no frame does.
@@ -125,6 +123,9 @@ def prepare_shots(
             0.0 if is_generated else POSE_SLACK,
         )
         background_camera = window.camera(sight.background_camera)
+        frozen = background.freeze(background_camera, sight.frame.camera_name, interval)
+        pixels = torch.from_numpy(window.of(sight.frame.pixels).astype(np.float32) / 255)
+        bare = torch.from_numpy(region.bare)
         sweep, lidar = sweeps.get(sight.frame.index), None
         if sweep is not None and is_generated:
             lidar = static_depths(sweep, sight.background_camera, region)
@@ -133,9 +134,9 @@ def prepare_shots(
         return Shot(
             sight,
             view,
-            background.freeze(background_camera, sight.frame.camera_name, interval),
-            torch.from_numpy(window.of(sight.frame.pixels).astype(np.float32) / 255),
-            torch.from_numpy(region.supervised.astype(np.float32)),
+            frozen,
+            torch.where(bare[..., None], frozen.alone(View.from_camera(background_camera)), pixels),
+            torch.from_numpy((region.supervised | region.bare).astype(np.float32)),
             lidar,
         )
 

@@ -50,13 +50,9 @@ def read(path: Path) -> VehicleAsset:
         category, provenance = str(document["category"]), dict(document["provenance"])
         quality = dict(document["quality"])
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"'{path / 'asset.json'}' lacks an entry or has it in another form: {error}"
-        ) from error
+        raise InputError(f"'{path / 'asset.json'}' lacks an entry or has it in another form: {error}") from error
     if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0).any():
-        raise InputError(
-            f"'{path / 'asset.json'}' has size {document['size']}; it is three positive lengths [m]"
-        )
+        raise InputError(f"'{path / 'asset.json'}' has size {document['size']}; it is three positive lengths [m]")
     body, shadow = ply.read(path / "gaussians.ply"), ply.read(path / "shadow.ply")
     if (len(body), len(shadow)) != counts:
         raise InputError(

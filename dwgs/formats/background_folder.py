@@ -56,17 +56,13 @@ def read(path: Path) -> Background:
             for frame, pose in frames.items()
         }
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(
-            f"'{path / 'background.json'}' lacks an entry or has it in another form: {error}"
-        ) from error
+        raise InputError(f"'{path / 'background.json'}' lacks an entry or has it in another form: {error}") from error
     if any(gains.shape != (3,) or not np.isfinite(gains).all() for gains in exposure.values()):
         raise InputError(f"'{path / 'background.json'}' has an exposure that is not three finite gains")
     if not all(is_rigid(pose) for pose in poses.values()):
         raise InputError(f"'{path / 'background.json'}' has a pose that is not a rotation and a translation")
     if len(gaussians) != count:
-        raise InputError(
-            f"'{path / 'background.json'}' counts {count} Gaussians, gaussians.ply holds {len(gaussians)}"
-        )
+        raise InputError(f"'{path / 'background.json'}' counts {count} Gaussians, gaussians.ply holds {len(gaussians)}")
     return Background(gaussians, _read_sky(path / "sky.npy"), exposure, poses)
 
 
@@ -81,9 +77,7 @@ def fingerprint(path: Path) -> str:
 
 def _read_sky(path: Path) -> NDArray[np.float32]:
     try:
-        mapped = np.load(
-            path, mmap_mode="r", allow_pickle=False
-        )  # compares header and size, allocates nothing
+        mapped = np.load(path, mmap_mode="r", allow_pickle=False)  # compares header and size, allocates nothing
     except (OSError, ValueError, EOFError) as error:
         raise InputError(f"'{path}' holds no sky: it is missing, cut short or corrupt") from error
     if not isinstance(mapped, np.ndarray) or mapped.dtype != np.float32 or not np.isfinite(mapped).all():

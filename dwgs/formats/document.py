@@ -22,9 +22,7 @@ def write_document(content: dict[str, Any], stamp: dict[str, Any], path: Path) -
 def read_document(stamp: dict[str, Any], path: Path) -> dict[str, Any]:
     """The document at ``path``; `InputError` where it is missing, no JSON, or differs from ``stamp``."""
     if not path.is_file():
-        raise InputError(
-            f"'{path.parent}' has no {path.name}: it is no {stamp['format']} folder, or an incomplete one"
-        )
+        raise InputError(f"'{path.parent}' has no {path.name}: it is no {stamp['format']} folder, or an incomplete one")
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
@@ -32,7 +30,5 @@ def read_document(stamp: dict[str, Any], path: Path) -> dict[str, Any]:
     for key, value in stamp.items():
         said = document.get(key) if isinstance(document, dict) else None
         if said != value:
-            raise InputError(
-                f"'{path}' says {key} = {json.dumps(said)}, this version reads {json.dumps(value)}"
-            )
+            raise InputError(f"'{path}' says {key} = {json.dumps(said)}, this version reads {json.dumps(value)}")
     return document

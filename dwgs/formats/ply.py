@@ -92,9 +92,7 @@ def read(path: Path) -> Gaussians:
                 f"'{path}' lacks {', '.join(missing)}: it has no Gaussians or packed ones; convert it first"
             )
         if len(rest) not in [3 * (k - 1) for k in SH_COUNTS]:
-            raise InputError(
-                f"'{path}' has {len(rest)} f_rest properties; degrees 0 to 3 have 0, 9, 24 or 45"
-            )
+            raise InputError(f"'{path}' has {len(rest)} f_rest properties; degrees 0 to 3 have 0, 9, 24 or 45")
         columns = _read_columns(stream, header, path)
 
     def gather(names: list[str]) -> NDArray[np.float32]:
@@ -135,9 +133,7 @@ def _read_header(stream: BinaryIO, path: Path) -> _Header:
     text, found, _ = head.partition(b"\nend_header")
     end = head.find(b"\n", len(text) + 1) + 1
     lines = [line.split() for line in text.decode("ascii", "replace").splitlines()]
-    byte_order = next(
-        (_BYTE_ORDERS.get(line[1]) for line in lines if line[:1] == ["format"] and line[1:]), None
-    )
+    byte_order = next((_BYTE_ORDERS.get(line[1]) for line in lines if line[:1] == ["format"] and line[1:]), None)
     if not found or not end or lines[:1] != [["ply"]] or byte_order is None:
         raise InputError(f"'{path}' is not a PLY file: it lacks the header of one")
     stream.seek(end)
@@ -146,17 +142,13 @@ def _read_header(stream: BinaryIO, path: Path) -> _Header:
     for line in lines:
         match line:
             case ["comment", "dwgs_frame", axes] if axes != AXES:
-                raise InputError(
-                    f"'{path}' is in axes '{axes}', Gaussians here are in {AXES}; convert it first"
-                )
+                raise InputError(f"'{path}' is in axes '{axes}', Gaussians here are in {AXES}; convert it first")
             case ["element", name, count] if count.isdecimal() and len(count) < 16:
                 elements.append((name, int(count), []))
             case ["property", type_name, name] if type_name in _TYPES and elements:
                 elements[-1][2].append((name, byte_order + _TYPES[type_name]))
             case ["element" | "property", *_]:
-                raise InputError(
-                    f"'{path}' has a header line that Gaussians have no use for: '{' '.join(line)[:80]}'"
-                )
+                raise InputError(f"'{path}' has a header line that Gaussians have no use for: '{' '.join(line)[:80]}'")
     names = [name for name, _, _ in elements]
     if "vertex" not in names:
         raise InputError(f"'{path}' is a PLY file without vertices, so without Gaussians")
@@ -186,9 +178,7 @@ def _read_columns(stream: BinaryIO, header: _Header, path: Path) -> dict[str, ND
         rows = [line.split() for line in stream.read().decode("ascii").splitlines()[header.rows_before :]]
         values = np.array(rows[: header.count], np.float64).reshape(header.count, len(names))
     except ValueError as error:
-        raise InputError(
-            f"'{path}' is a text PLY whose lines do not match its header; it is corrupt"
-        ) from error
+        raise InputError(f"'{path}' is a text PLY whose lines do not match its header; it is corrupt") from error
     return dict(zip(names, values.T, strict=True))
 
 
@@ -197,9 +187,7 @@ def _check(gaussians: Gaussians, path: Path) -> None:
         values = getattr(gaussians, name)
         bad = int((~np.isfinite(values)).any(tuple(range(1, values.ndim))).sum())
         if bad:
-            raise InputError(
-                f"Gaussians are finite, but {name} of {bad} of {len(gaussians)} for '{path}' are not"
-            )
+            raise InputError(f"Gaussians are finite, but {name} of {bad} of {len(gaussians)} for '{path}' are not")
     if (gaussians.scales < 0).any() or (gaussians.opacities < 0).any() or (gaussians.opacities > 1).any():
         raise InputError(f"scales are positive and opacities lie in [0, 1]; for '{path}' they do not")
 

@@ -27,10 +27,7 @@ def psnr(image: NDArray, reference: NDArray, mask: NDArray | None = None) -> flo
 
 def ssim(image: NDArray, reference: NDArray, mask: NDArray | None = None) -> float:
     """Structural similarity: the map of the whole image, averaged over the mask [H, W] (all when None)."""
-    pair = [
-        torch.from_numpy(np.clip(x, 0, 1).astype(np.float32)).permute(2, 0, 1)[None]
-        for x in (image, reference)
-    ]
+    pair = [torch.from_numpy(np.clip(x, 0, 1).astype(np.float32)).permute(2, 0, 1)[None] for x in (image, reference)]
     values = ssim_map(*pair, SSIM_WINDOW)[0].mean(0).numpy()
     if mask is not None:
         values = values[mask]

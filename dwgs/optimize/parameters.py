@@ -137,9 +137,7 @@ class SplatParameters:
 class PoseParameters:
     """A small rigid correction for each of ``count`` poses, about the pose's own origin."""
 
-    def __init__(
-        self, count: int, rotation_rate: float, translation_rate: float, device: str = "cpu"
-    ) -> None:
+    def __init__(self, count: int, rotation_rate: float, translation_rate: float, device: str = "cpu") -> None:
         self.rotations = torch.zeros(count, 3, device=device, requires_grad=True)
         """[count, 3] rotation vectors [rad]."""
         self.translations = torch.zeros(count, 3, device=device, requires_grad=True)

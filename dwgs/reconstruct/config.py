@@ -21,7 +21,5 @@ class ReconstructConfig:
     """Chooses the points that are kept and the pixels that grow."""
 
 
-RATES = Rates(
-    means=2e-3, quats=6e-3, scales=2e-2, opacities=0.1, sh_dc=1.5e-2, sh_rest=3e-3, betas=(0.9, 0.99)
-)
+RATES = Rates(means=2e-3, quats=6e-3, scales=2e-2, opacities=0.1, sh_dc=1.5e-2, sh_rest=3e-3, betas=(0.9, 0.99))
 """About three times the usual: the schedule is short."""

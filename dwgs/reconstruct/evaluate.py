@@ -13,9 +13,7 @@ from dwgs.scene.sky import sky_image
 from dwgs.splat import Splats, View, render
 
 
-def evaluate(
-    background: Background, views: list[TrainingView], heldout: set[int], threads: int = 2
-) -> dict[str, Any]:
+def evaluate(background: Background, views: list[TrainingView], heldout: set[int], threads: int = 2) -> dict[str, Any]:
     """PSNR [dB] and SSIM of every view, traffic masked out; their means over those that taught, judged.
 
     ``heldout`` names the frames that judge. Means over nothing are None, as are views that are all traffic.
@@ -44,14 +42,10 @@ def evaluate(
     return means | {"frames": frames}
 
 
-def show_background(
-    background: Background, camera: Camera, camera_name: str, threads: int
-) -> NDArray[np.float32]:
+def show_background(background: Background, camera: Camera, camera_name: str, threads: int) -> NDArray[np.float32]:
     """The picture [H, W, 3] of a frozen street from any camera."""
     with torch.no_grad():
-        rendering = render(
-            Splats.from_gaussians(background.gaussians), View.from_camera(camera), threads=threads
-        )
+        rendering = render(Splats.from_gaussians(background.gaussians), View.from_camera(camera), threads=threads)
     sky = sky_image(background.sky, camera)
     rgb = rendering.rgb.numpy() + (1 - rendering.alpha.numpy())[..., None] * sky
     return rgb * background.exposure.get(camera_name, np.ones(3, np.float32))

@@ -51,9 +51,7 @@ JUDGED_VIEWS = 16
 """At most so many of the frames that teach are scored at the end."""
 
 
-def reconstruct(
-    scene: Scene, config: ReconstructConfig
-) -> Generator[Event, None, tuple[Background, dict[str, Any]]]:
+def reconstruct(scene: Scene, config: ReconstructConfig) -> Generator[Event, None, tuple[Background, dict[str, Any]]]:
     """Fit the static street of ``scene``, step by step.
 
     Every 8th instant is held out: it never touches colours, geometry or poses, and judges.

@@ -13,15 +13,11 @@ def fill_smoothly(image: Tensor, weight: Tensor, stride: int = 1) -> Tensor:
     level that large; known pixels are smoothed then too.
     """
     height, width = weight.shape
-    premultiplied = torch.cat([image * weight[..., None], weight[..., None].to(image)], -1).permute(2, 0, 1)[
-        None
-    ]
+    premultiplied = torch.cat([image * weight[..., None], weight[..., None].to(image)], -1).permute(2, 0, 1)[None]
     if stride > 1:
         premultiplied = avg_pool2d(premultiplied, stride, ceil_mode=True, count_include_pad=False)
     filled = _fill(premultiplied / premultiplied[:, -1:].clamp_min(1))
-    filled = interpolate(filled, scale_factor=stride, mode="bilinear", align_corners=False)[
-        ..., :height, :width
-    ]
+    filled = interpolate(filled, scale_factor=stride, mode="bilinear", align_corners=False)[..., :height, :width]
     return (filled[0, :-1] / filled[0, -1:].clamp_min(1e-6)).permute(1, 2, 0)
 
 

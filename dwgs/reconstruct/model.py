@@ -26,9 +26,7 @@ NEAREST = 3.0
 class Street:
     """Everything that a step of the reconstruction changes."""
 
-    def __init__(
-        self, scene: Scene, frames: list[Frame], gaussians: Gaussians, sky: NDArray[np.float32]
-    ) -> None:
+    def __init__(self, scene: Scene, frames: list[Frame], gaussians: Gaussians, sky: NDArray[np.float32]) -> None:
         self.frames = frames
         self.sky = sky
         self._positions = torch.tensor(np.array([f.camera.position for f in frames]), dtype=torch.float32)
@@ -46,9 +44,7 @@ class Street:
         """Colours [H, W, 3] of frame ``i`` through its ``camera`` at any resolution, and their rendering."""
         view = View.from_camera(camera)
         # world_from_refined = world_from_recorded @ correction
-        refined = View(
-            _inverse(self._poses.matrix(i)) @ view.viewmat, view.intrinsics, view.width, view.height
-        )
+        refined = View(_inverse(self._poses.matrix(i)) @ view.viewmat, view.intrinsics, view.width, view.height)
         rendering = render(self._splats.splats(), refined, threads=threads)
         # Plane by plane, as the renderer stores them.
         rgb = rendering.rgb.permute(2, 0, 1) + (1 - rendering.alpha) * self._sky_behind(i, camera)
@@ -92,9 +88,7 @@ class Street:
 
     def to_background(self, heldout: list[Frame]) -> Background:
         """The frozen street."""
-        poses = {
-            (f.camera_name, f.index): self.camera(i).world_from_camera for i, f in enumerate(self.frames)
-        }
+        poses = {(f.camera_name, f.index): self.camera(i).world_from_camera for i, f in enumerate(self.frames)}
         poses |= {(f.camera_name, f.index): self.camera_of(f).world_from_camera for f in heldout}
         gains = {name: self._gain(name).detach().numpy() for name in self._cameras[1:]}
         gaussians = self._splats.to_gaussians()

@@ -41,6 +41,5 @@ def moving_tracks(scene: Scene, time: float) -> list[Track]:
     return [
         track
         for track in scene.tracks
-        if track.is_moving
-        and track.trajectory.times[0] - TIME_SLACK <= time <= track.trajectory.times[-1] + TIME_SLACK
+        if track.is_moving and track.trajectory.times[0] - TIME_SLACK <= time <= track.trajectory.times[-1] + TIME_SLACK
     ]

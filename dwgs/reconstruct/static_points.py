@@ -44,9 +44,7 @@ def pixels_of(
     K_from_world = torch.from_numpy((camera.K @ camera.camera_from_world[:3]).astype(np.float32))
     p = torch.from_numpy(points).float() @ K_from_world[:, :3].T + K_from_world[:, 3]
     x, y, depth = p.unbind(1)
-    inside = (
-        (depth > NEAREST) & (x >= 0) & (x < camera.width * depth) & (y >= 0) & (y < camera.height * depth)
-    )
+    inside = (depth > NEAREST) & (x >= 0) & (x < camera.width * depth) & (y >= 0) & (y < camera.height * depth)
     index = inside.nonzero()[:, 0]
     x, y, depth = p[index].unbind(1)
     columns = (x / depth).long().clamp(0, camera.width - 1)
@@ -54,9 +52,7 @@ def pixels_of(
     return index.numpy(), rows.numpy(), columns.numpy(), depth.numpy()
 
 
-def depth_samples(
-    points: NDArray[np.float32], camera: Camera
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+def depth_samples(points: NDArray[np.float32], camera: Camera) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Pixels [S, 2] (row, column) with the depths [S] [m] that world ``points`` [P, 3] give them.
 
     One sample for a pixel, the nearest; none where a neighbour is much nearer.
@@ -66,9 +62,7 @@ def depth_samples(
     _, first = np.unique(rows[order] * camera.width + columns[order], return_index=True)
     nearest = order[first]
     rows, columns, depths = rows[nearest], columns[nearest], depths[nearest]
-    floor = np.full(
-        (camera.height // OCCLUSION_CELL + 1, camera.width // OCCLUSION_CELL + 1), np.inf, np.float32
-    )
+    floor = np.full((camera.height // OCCLUSION_CELL + 1, camera.width // OCCLUSION_CELL + 1), np.inf, np.float32)
     cell = rows // OCCLUSION_CELL, columns // OCCLUSION_CELL
     np.minimum.at(floor, cell, depths)
     visible = depths < OCCLUSION_RATIO * floor[cell]

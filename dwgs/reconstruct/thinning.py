@@ -19,9 +19,7 @@ def spacing_in_view(points: NDArray[np.float32], cameras: list[Camera]) -> NDArr
     return best
 
 
-def thin(
-    points: NDArray[np.floating], sizes: NDArray[np.floating]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def thin(points: NDArray[np.floating], sizes: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The mean point of every voxel [M, 3], and its size [M] [m]: that of ``sizes`` [N], in half octaves."""
     levels = np.round(2 * np.log2(sizes)).astype(np.int64)
     voxel_sizes = 2.0 ** (levels / 2)

@@ -74,9 +74,7 @@ def read_view(scene: Scene, frame: Frame, points: NDArray[np.float32]) -> Traini
         hidden |= reactive
     pixels = frame.pixels
     if hidden.any():
-        smooth = fill_smoothly(
-            torch.from_numpy(pixels).float(), torch.from_numpy(~hidden).float(), PAINT_STRIDE
-        )
+        smooth = fill_smoothly(torch.from_numpy(pixels).float(), torch.from_numpy(~hidden).float(), PAINT_STRIDE)
         pixels = np.where(hidden[..., None], smooth.round().byte().numpy(), pixels)
     index, depths = depth_samples(points, frame.camera)
     shown = ~hidden[index[:, 0], index[:, 1]]

@@ -27,15 +27,8 @@ class Camera:
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise InputError(f"an image has at least one pixel, this camera says {self.width}x{self.height}")
-        if (
-            np.shape(self.K) != (3, 3)
-            or not np.isfinite(self.K).all()
-            or self.K[0, 0] <= 0
-            or self.K[1, 1] <= 0
-        ):
-            raise InputError(
-                f"intrinsics are a finite 3x3 matrix with positive focal lengths, got {self.K!r}"
-            )
+        if np.shape(self.K) != (3, 3) or not np.isfinite(self.K).all() or self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
+            raise InputError(f"intrinsics are a finite 3x3 matrix with positive focal lengths, got {self.K!r}")
         if not is_rigid(self.world_from_camera):
             raise InputError(f"a camera pose is a rotation and a translation, got {self.world_from_camera!r}")
 

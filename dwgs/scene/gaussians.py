@@ -35,12 +35,7 @@ class Gaussians:
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise InputError(f"Gaussians.{name} has shape {shape}, got {getattr(self, name).shape}")
-        if (
-            self.sh.ndim != 3
-            or self.sh.shape[0] != n
-            or self.sh.shape[1] not in SH_COUNTS
-            or self.sh.shape[2] != 3
-        ):
+        if self.sh.ndim != 3 or self.sh.shape[0] != n or self.sh.shape[1] not in SH_COUNTS or self.sh.shape[2] != 3:
             raise InputError(f"Gaussians.sh has shape ({n}, 1|4|9|16, 3), got {self.sh.shape}")
         for name in (*shapes, "sh"):
             if getattr(self, name).dtype != np.float32:
@@ -64,9 +59,7 @@ class Gaussians:
         count = max(g.sh.shape[1] for g in clouds)
         padded = [np.pad(g.sh, ((0, 0), (0, count - g.sh.shape[1]), (0, 0))) for g in clouds]
         fields = ("means", "quats", "scales", "opacities")
-        return Gaussians(
-            *(np.concatenate([getattr(g, f) for g in clouds]) for f in fields), np.concatenate(padded)
-        )
+        return Gaussians(*(np.concatenate([getattr(g, f) for g in clouds]) for f in fields), np.concatenate(padded))
 
     @staticmethod
     def empty(sh_degree: int = 0) -> "Gaussians":

@@ -68,16 +68,12 @@ class Ground:
     def normal(self, xy: ArrayLike) -> NDArray[np.float64]:
         """Unit normal [..., 3] of the ground at world positions [..., 2]."""
         xy = np.asarray(xy, np.float64)
-        dx, dy = (
-            (self.height(xy + step) - self.height(xy - step)) / (2 * CELL) for step in ([CELL, 0], [0, CELL])
-        )
+        dx, dy = ((self.height(xy + step) - self.height(xy - step)) / (2 * CELL) for step in ([CELL, 0], [0, CELL]))
         normal = np.stack([-dx, -dy, np.ones_like(dx)], -1)
         return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
 
-def _candidates(
-    sweep: LidarSweep, low: NDArray, high: NDArray, ego: Trajectory
-) -> tuple[NDArray[np.float64], bool]:
+def _candidates(sweep: LidarSweep, low: NDArray, high: NDArray, ego: Trajectory) -> tuple[NDArray[np.float64], bool]:
     """Points [P, 3] that may be ground, and whether labels say so."""
     points = sweep.points.astype(np.float64)
     inside = ((points[:, :2] > low) & (points[:, :2] < high)).all(1)
@@ -124,8 +120,7 @@ def _coarser(values: NDArray, weight: NDArray) -> tuple[NDArray, NDArray]:
     """Averages of two by two cells, and whether any of the four weighs anything."""
     odd = [(0, n % 2) for n in values.shape]
     total, count = (
-        sum(np.pad(grid, odd)[i::2, j::2] for i in (0, 1) for j in (0, 1))
-        for grid in (values * weight, weight)
+        sum(np.pad(grid, odd)[i::2, j::2] for i in (0, 1) for j in (0, 1)) for grid in (values * weight, weight)
     )
     return total / np.maximum(count, 1e-12), np.minimum(count, 1)
 

@@ -26,14 +26,10 @@ class VehiclePoints:
         if self.points.ndim != 2 or self.points.shape[1:] != (3,) or len(self.points) == 0:
             raise InputError(f"a vehicle has at least one point [P, 3], got {self.points.shape}")
         if self.colors.shape != self.points.shape or self.colors.dtype != np.uint8:
-            raise InputError(
-                f"a vehicle has one uint8 colour per point, got {self.colors.dtype} {self.colors.shape}"
-            )
+            raise InputError(f"a vehicle has one uint8 colour per point, got {self.colors.dtype} {self.colors.shape}")
         if not np.isfinite(self.points).all():
             bad = int((~np.isfinite(self.points).all(1)).sum())
-            raise InputError(
-                f"points of a vehicle are finite, {bad} of {len(self.points)} are not; remove them"
-            )
+            raise InputError(f"points of a vehicle are finite, {bad} of {len(self.points)} are not; remove them")
         if self.normals is not None and self.normals.shape != self.points.shape:
             raise InputError(f"a vehicle has one normal per point or none, got {self.normals.shape}")
 

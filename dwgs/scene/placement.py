@@ -78,9 +78,7 @@ def conflicts(scene: Scene, size: ArrayLike, trajectory: Trajectory) -> list[tup
     return found
 
 
-def _overlap(
-    world_from_a: NDArray, size_a: NDArray, world_from_b: NDArray, size_b: NDArray
-) -> NDArray[np.bool_]:
+def _overlap(world_from_a: NDArray, size_a: NDArray, world_from_b: NDArray, size_b: NDArray) -> NDArray[np.bool_]:
     """Whether rectangles [T] overlap: no side of either separates them (separating axis theorem)."""
     axes_a, axes_b = world_from_a[:, :2, :2], world_from_b[:, :2, :2]
     between = world_from_b[:, :2, 3] - world_from_a[:, :2, 3]

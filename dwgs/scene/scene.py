@@ -25,9 +25,7 @@ class Frame:
     """Where, when and how."""
     load_pixels: Callable[[], NDArray[np.uint8]] = field(repr=False, compare=False)
     """Reads the image [H, W, 3] sRGB; the size is the camera's."""
-    load_reactive_mask: Callable[[], NDArray[np.bool_]] | None = field(
-        default=None, repr=False, compare=False
-    )
+    load_reactive_mask: Callable[[], NDArray[np.bool_]] | None = field(default=None, repr=False, compare=False)
     """Reads the reactive mask [H, W] (True where a generator repainted), or None for a recorded frame."""
 
     @property
@@ -64,9 +62,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         if not self.frames or not all(self.frames.values()):
-            raise InputError(
-                f"a scene has at least one camera with at least one frame, '{self.name}' has none"
-            )
+            raise InputError(f"a scene has at least one camera with at least one frame, '{self.name}' has none")
 
     @property
     def main_camera(self) -> str:
@@ -82,9 +78,7 @@ class Scene:
         found = [t for t in self.tracks if t.id == id] or [t for t in self.tracks if t.id.startswith(id)]
         if len(found) != 1:
             some = ", ".join(t.id for t in self.tracks if t.is_vehicle)[:400]
-            raise InputError(
-                f"'{id}' names {len(found)} tracks of '{self.name}', not one; vehicles here: {some}"
-            )
+            raise InputError(f"'{id}' names {len(found)} tracks of '{self.name}', not one; vehicles here: {some}")
         return found[0]
 
     def select(self, cameras: list[str] | None = None, frames: range | None = None) -> "Scene":

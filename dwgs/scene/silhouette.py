@@ -29,9 +29,7 @@ def box_silhouette(
     return fill_convex_hull(visible[:, :2] / visible[:, 2:], camera.width, camera.height, margin)
 
 
-def fill_convex_hull(
-    points: NDArray[np.float64], width: int, height: int, margin: float = 0.0
-) -> NDArray[np.bool_]:
+def fill_convex_hull(points: NDArray[np.float64], width: int, height: int, margin: float = 0.0) -> NDArray[np.bool_]:
     """Pixels [H, W] whose centres lie in the hull of ``points`` [P, 2] [px], moved outwards by ``margin``."""
     mask = np.zeros((height, width), bool)
     if len(points) == 0:

@@ -28,9 +28,7 @@ class Trajectory:
                 f"and {len(self.world_from_vehicle)} poses"
             )
         if not np.isfinite(self.times).all() or (np.diff(self.times) <= 0).any():
-            raise InputError(
-                "times of a trajectory are finite and strictly increasing; sort them, drop doubles"
-            )
+            raise InputError("times of a trajectory are finite and strictly increasing; sort them, drop doubles")
         if not is_rigid(self.world_from_vehicle):
             raise InputError("every pose of a trajectory is a rotation and a translation of finite numbers")
 

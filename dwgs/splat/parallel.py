@@ -35,9 +35,7 @@ def load(device: wp.Device) -> None:
             _loaded.add(device.alias)
 
 
-def launch(
-    kernel: Any, items: int | Sequence[int], inputs: Sequence, device: wp.Device, threads: int
-) -> None:
+def launch(kernel: Any, items: int | Sequence[int], inputs: Sequence, device: wp.Device, threads: int) -> None:
     """Run ``kernel`` over ``items``: their number, or the bounds [0, ..., number] of chunks of equal work."""
     if isinstance(items, int):
         chunks = max(1, min(threads * CHUNKS_PER_THREAD, items // _GRAIN))

@@ -65,16 +65,12 @@ def _alphas_and_colors(splats: Splats, view: View, is_cut: bool = True) -> tuple
     means, quats, scales, opacities, sh = (getattr(splats, f.name).double() for f in fields(splats))
     viewmat = view.viewmat.double()
     R, t = viewmat[:3, :3], viewmat[:3, 3]
-    finite = torch.stack(
-        [x.flatten(1).isfinite().all(1) for x in (means, quats, scales, opacities[:, None], sh)]
-    )
+    finite = torch.stack([x.flatten(1).isfinite().all(1) for x in (means, quats, scales, opacities[:, None], sh)])
     drawn = finite.all(0) & ((means @ R.T + t)[:, 2] > NEAR) & (opacities > MIN_ALPHA)
     means, quats, scales, opacities, sh = (x[drawn] for x in (means, quats, scales, opacities, sh))
     points = means @ R.T + t
     order = points[:, 2].argsort(stable=True)
-    means, quats, scales, opacities, sh, points = (
-        x[order] for x in (means, quats, scales, opacities, sh, points)
-    )
+    means, quats, scales, opacities, sh, points = (x[order] for x in (means, quats, scales, opacities, sh, points))
 
     fx, fy, cx, cy = view.intrinsics
     x, y, z = points.unbind(1)

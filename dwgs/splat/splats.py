@@ -34,12 +34,7 @@ class Splats:
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise InputError(f"Splats.{name} has shape {shape}, got {tuple(getattr(self, name).shape)}")
-        if (
-            self.sh.ndim != 3
-            or len(self.sh) != n
-            or self.sh.shape[1] not in SH_COUNTS
-            or self.sh.shape[2] != 3
-        ):
+        if self.sh.ndim != 3 or len(self.sh) != n or self.sh.shape[1] not in SH_COUNTS or self.sh.shape[2] != 3:
             raise InputError(f"Splats.sh has shape ({n}, 1|4|9|16, 3), got {tuple(self.sh.shape)}")
 
     def __len__(self) -> int:
@@ -48,9 +43,7 @@ class Splats:
     @staticmethod
     def from_gaussians(gaussians: Gaussians, device: torch.device | str = "cpu") -> "Splats":
         """Copies of the arrays, on ``device``."""
-        return Splats(
-            **{f.name: torch.tensor(getattr(gaussians, f.name), device=device) for f in fields(Splats)}
-        )
+        return Splats(**{f.name: torch.tensor(getattr(gaussians, f.name), device=device) for f in fields(Splats)})
 
     def to_gaussians(self) -> Gaussians:
         """Detached copies, quaternions normalised."""

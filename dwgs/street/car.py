@@ -259,9 +259,7 @@ def face_forward(x: float, y: float, height: float, yaw: float = 0.0) -> NDArray
 
 def sample_surface(shape: Shape, palette: Palette, count: int, seed: int) -> VehiclePoints:
     """Points spread evenly by area over all of a car, with their paint and normals."""
-    mesh = trimesh.Trimesh(
-        shape.corners.reshape(-1, 3), np.arange(3 * len(shape)).reshape(-1, 3), process=False
-    )
+    mesh = trimesh.Trimesh(shape.corners.reshape(-1, 3), np.arange(3 * len(shape)).reshape(-1, 3), process=False)
     points, faces = trimesh.sample.sample_surface(mesh, count, seed=seed)[:2]
     weights = trimesh.triangles.points_to_barycentric(mesh.triangles[faces], points)
     normals = np.einsum("nk,nkd->nd", weights, shape.normals[faces])

@@ -32,9 +32,7 @@ class Oracle:
     """Camera of a frame by index."""
     stage: Stage
     """The street with the vehicle as its last body."""
-    _patches: dict[int, tuple[slice, slice, NDArray[np.uint8]]] = field(
-        default_factory=dict, repr=False, compare=False
-    )
+    _patches: dict[int, tuple[slice, slice, NDArray[np.uint8]]] = field(default_factory=dict, repr=False, compare=False)
 
     def pixels(self, index: int) -> NDArray[np.uint8]:
         """[H, W, 3] sRGB."""

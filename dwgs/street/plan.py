@@ -110,9 +110,7 @@ def draw_plan(seed: int, frames: int) -> Plan:
             if rng.random() < 0.42 or on_crossing:
                 continue
             shape, design = car(rng.choice(4, p=(0.35, 0.35, 0.2, 0.1)))
-            world_from_car = face_forward(
-                x + rng.uniform(-0.3, 0.3), y, design.size[2], yaw + rng.normal(0, 0.01)
-            )
+            world_from_car = face_forward(x + rng.uniform(-0.3, 0.3), y, design.size[2], yaw + rng.normal(0, 0.01))
             stands = Trajectory(times[[0, -1]], np.stack([world_from_car, world_from_car]))
             parked.append(Vehicle(shape, design.size, stands))
     movers = []

@@ -68,9 +68,7 @@ def render_depth(stage: Stage, camera: Camera, only: int = -1) -> NDArray[np.flo
     return depth
 
 
-def _launch(
-    kernel: Any, shape: tuple[int, ...], inputs: list, outputs: list, executor: Executor | None
-) -> None:
+def _launch(kernel: Any, shape: tuple[int, ...], inputs: list, outputs: list, executor: Executor | None) -> None:
     """Runs a kernel over all rows: at once, or a few at a time on the threads of an executor."""
 
     def run(first: int, count: int) -> None:
@@ -79,9 +77,7 @@ def _launch(
     if executor is None:
         run(0, shape[0])
         return
-    for job in [
-        executor.submit(run, first, min(ROWS, shape[0] - first)) for first in range(0, shape[0], ROWS)
-    ]:
+    for job in [executor.submit(run, first, min(ROWS, shape[0] - first)) for first in range(0, shape[0], ROWS)]:
         job.result()
 
 

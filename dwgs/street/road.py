@@ -79,10 +79,7 @@ def build_floor(palette: Palette, start: float, stop: float) -> Shape:
         pieces.append(rectangle((x, x + 0.10), (right, -LANE / 2 - 0.1), h, paint))
         pieces.append(rectangle((x, x + 0.10), (2.5 * LANE + 0.1, left), h, paint))
     for x in np.arange(52.0, stop - 10, 92.0):  # zebra crossings, over the parking bays too
-        pieces += [
-            rectangle((x, x + 3.6), (y, y + 0.5), 2 * h, paint)
-            for y in np.arange(right + 0.3, left - 0.5, 1.0)
-        ]
+        pieces += [rectangle((x, x + 3.6), (y, y + 0.5), 2 * h, paint) for y in np.arange(right + 0.3, left - 0.5, 1.0)]
         for y in (0.0, LANE):
             pieces.append(rectangle((x - 2.2, x - 1.8), (y - LANE / 2 + 0.2, y + LANE / 2 - 0.2), h, paint))
             pieces.append(_arrow(x - 14, y, h, paint))

@@ -43,9 +43,7 @@ class Shape:
         """The shape carried by a rigid transform [4, 4]."""
         a_from_b = np.asarray(a_from_b, np.float32)
         rotation = a_from_b[:3, :3].T
-        return replace(
-            self, corners=self.corners @ rotation + a_from_b[:3, 3], normals=self.normals @ rotation
-        )
+        return replace(self, corners=self.corners @ rotation + a_from_b[:3, 3], normals=self.normals @ rotation)
 
     def at(self, x: float, y: float, z: float = 0.0) -> "Shape":
         """The shape shifted [m]."""

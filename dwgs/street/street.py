@@ -87,17 +87,14 @@ class Street:
     def scene(self) -> Scene:
         """The recorded drive."""
         frames = tuple(
-            Frame(index, CAMERA, self.camera(index), partial(self.pixels, index))
-            for index in range(self.frames)
+            Frame(index, CAMERA, self.camera(index), partial(self.pixels, index)) for index in range(self.frames)
         )
         return Scene(f"street-{self.seed}", {CAMERA: frames}, self.ego, self._sweeps, self._tracks)
 
     @cached_property
     def _sweeps(self) -> tuple[LidarSweep, ...]:
         with ThreadPoolExecutor(2) as executor:
-            jobs = [
-                executor.submit(take_sweep, self.stage, self.ego, i, self.seed) for i in range(self.frames)
-            ]
+            jobs = [executor.submit(take_sweep, self.stage, self.ego, i, self.seed) for i in range(self.frames)]
             return tuple(job.result() for job in jobs)
 
     @property
@@ -179,6 +176,4 @@ def build_street(seed: int = 0, frames: int = 193, width: int = 720, height: int
     flat = np.cos(SUN_ELEVATION)
     sun = np.array([flat * np.cos(SUN_AZIMUTH), flat * np.sin(SUN_AZIMUTH), np.sin(SUN_ELEVATION)])
     stage = build_stage(plan, sun, seed)
-    return Street(
-        frames, width, height, seed, plan, stage, ego_trajectory(frames, np.random.default_rng((seed, 3)))
-    )
+    return Street(frames, width, height, seed, plan, stage, ego_trajectory(frames, np.random.default_rng((seed, 3))))

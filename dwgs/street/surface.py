@@ -66,9 +66,7 @@ def asphalt(look: Look, patch: Patch, seed: wp.uint32) -> Texel:
         tone = tone * (1.0 - 0.18 * inner) - 0.28 * (outer - inner)
     # cracks: where two slow ripples meet
     if width < 0.25:
-        ridge = wp.noise(seed + wp.uint32(21), flat * 0.45) + 0.25 * wp.noise(
-            seed + wp.uint32(22), flat * 2.3
-        )
+        ridge = wp.noise(seed + wp.uint32(21), flat * 0.45) + 0.25 * wp.noise(seed + wp.uint32(22), flat * 2.3)
         thin = 0.45 * wp.max(width, 0.02)
         crack = 1.0 - wp.smoothstep(0.3 * thin, 1.6 * thin, wp.abs(ridge))
         tone -= 0.45 * crack * wp.min(0.02 / width, 1.0) * fade(width, 0.25)
@@ -159,9 +157,7 @@ def facade(look: Look, patch: Patch, seed: wp.uint32) -> Texel:
                 low = 0.12
                 half = 0.55
         frame = bars(u, wu, bay, mid - half, mid + half) * bars(v, wv, period, low, high)
-        pane = bars(u, wu, bay, mid - half + 0.07, mid - 0.03) + bars(
-            u, wu, bay, mid + 0.03, mid + half - 0.07
-        )
+        pane = bars(u, wu, bay, mid - half + 0.07, mid - 0.03) + bars(u, wu, bay, mid + 0.03, mid + half - 0.07)
         split = low + 0.68 * (high - low)
         pane *= bars(v, wv, period, low + 0.07, split - 0.03) + bars(v, wv, period, split + 0.03, high - 0.07)
         trim = bars(u, wu, bay, mid - half - 0.12, mid + half + 0.12)

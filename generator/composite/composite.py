@@ -21,8 +21,8 @@ from generator.composite.transfer import CELL, REACH, Transfer
 from generator.conditions.conditions import ConditionFrame, Conditions
 from generator.generator import Capabilities
 
-BORDER = 8.0
-"""The shadow fades to nothing over this distance [px] from the border of the reactive mask."""
+BORDER = 1 / 120
+"""The shadow fades to nothing within this share of the image height from the border of the reactive mask."""
 CLEARANCE = 0.25
 """Returns lower than this above the vehicle's ground [m] are ground, and hide nothing."""
 
@@ -79,7 +79,9 @@ class Studio:
             camera = frame.camera.crop(left, top, right - left, bottom - top)
             # the image's own border is no border of the mask
             inside = distance_transform_edt(np.pad(mask, 1, mode="edge"))[1:-1, 1:-1][window]
-            image = self._picture(frame, camera, pixels[window], np.clip(inside / BORDER, 0, 1), seed)
+            image = self._picture(
+                frame, camera, pixels[window], np.clip(inside / (BORDER * frame.camera.height), 0, 1), seed
+            )
             pixels = pixels.copy()
             pixels[window] = np.where(mask[window][..., None], image, pixels[window])
         return replace(frame, load_pixels=lambda: pixels.copy(), load_reactive_mask=lambda: mask.copy())
@@ -101,7 +103,7 @@ class Studio:
         light, ground_depth = self._ground(camera, pose)
         image = recorded / np.float32(255)
         is_vehicle = alpha > 0.05
-        asked = np.where(is_vehicle, depth, np.where(light.min(-1) < 0.98, ground_depth, np.inf))
+        asked = np.where(is_vehicle, depth, np.where(light.min(-1) < 0.999, ground_depth, np.inf))
         shown = 1 - self._hidden(frame, camera, pose, image, asked)
         light = 1 - (1 - light) * (strength * shown)[..., None]
         alpha = (alpha * shown)[..., None]

@@ -8,13 +8,18 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from dwgs.scene import Frame, LidarSweep, Scene
 from generator.composite.color import linear_from_srgb, luminance
+from generator.composite.sun import find_sun
 
 ROWS, COLUMNS = 48, 96
 """Size of the panorama: cells of 3.75 degrees, finer than any reflection on paint needs."""
 ROAD_ALBEDO = 0.12
 """Worn asphalt reflects about so much; it is what tells exposure and white balance."""
+WHITE_LEVEL = 1.4
+"""A camera is exposed so that white ground in full light is at most so bright; where asphalt says more, it is pale."""
 LOOKS = 12
 """Frames per camera that are looked at, spread evenly over the clip."""
+SUN_LOOKS = 6
+"""Frames in which shadows are compared with the sun's direction."""
 STRIDE = 3
 """Every so many pixels are taken for the panorama."""
 
@@ -57,15 +62,17 @@ def look_around(scene: Scene) -> Environment:
         darkest.append(np.quantile(luminance(pixels[::STRIDE, ::STRIDE]), 0.005))
         if frame.index in sweeps:
             roads.append(_road_pixels(frame, pixels, sweeps[frame.index], scene))
+    sun = find_sun(scene, frames[:: -(-len(frames) // SUN_LOOKS)])
     road = np.median(np.concatenate(roads), axis=0) if roads and sum(map(len, roads)) else np.full(3, 0.1)
     panorama = _complete(total, count, road)
-    return Environment(
-        panorama,
-        (road / ROAD_ALBEDO).astype(np.float32),
-        None,
-        np.zeros(3, np.float32),
-        0.7 * float(np.median(darkest)),
-    )
+    black = 0.7 * float(np.median(darkest))
+    none = np.zeros(3, np.float32)
+    brightest = road if sun is None else sun.sunlit
+    albedo = np.float32(max(ROAD_ALBEDO, luminance(brightest) / WHITE_LEVEL))
+    if sun is None:
+        return Environment(panorama, (road / albedo).astype(np.float32), None, none, black)
+    direct = (sun.sunlit - sun.shaded) / (albedo * sun.direction[2])
+    return Environment(panorama, sun.shaded / albedo, sun.direction, direct, black)
 
 
 def _spread(frames: tuple[Frame, ...]) -> list[Frame]:

@@ -22,6 +22,8 @@ NEIGHBOURS = 6
 """LiDAR points that vote for a pixel."""
 FAR = 16.0
 """A vote is heard so far [px]."""
+EDGE = 0.8
+"""Occluders end over about this distance [px], as everything does that a lens draws."""
 COLOR_SCALE = 60.0
 """A difference of colour from 0 to 1 counts like this many pixels: votes stop at edges."""
 
@@ -65,12 +67,8 @@ class Recording:
         found = [Returns(np.zeros((0, 3), np.float32), np.zeros(0, np.int64))]
         found += [_in_view(self._sorted[i].still, project, camera) for i in near]
         for number in sorted({number for i in near for number in self._sorted[i].moving}):
-            points = np.concatenate(
-                [self._sorted[i].moving[number] for i in near if number in self._sorted[i].moving]
-            )
-            world = transform_points(self.tracks[number].trajectory.at(camera.time), points).astype(
-                np.float32
-            )
+            points = np.concatenate([self._sorted[i].moving[number] for i in near if number in self._sorted[i].moving])
+            world = transform_points(self.tracks[number].trajectory.at(camera.time), points).astype(np.float32)
             found.append(_in_view(Returns(world, np.full(len(world), number)), project, camera))
         return Returns(np.concatenate([r.points for r in found]), np.concatenate([r.track for r in found]))
 
@@ -142,6 +140,9 @@ def nearer(
     weight = 1 / (distance + 1)  # none for a neighbour too far to be found
     share = (weight * np.append(votes, False)[index]).sum(1) / np.maximum(weight.sum(1), 1e-9)
     hidden[rows, columns] = share
+    asked_here = np.isfinite(depth)
     # a speck is a stray return; a hole is a window, which returns what lies behind it
-    solid = binary_fill_holes(binary_opening(hidden > 0.5, iterations=2))
-    return gaussian_filter(solid.astype(np.float32), 0.8)
+    solid = binary_opening((hidden > 0.5) | ~asked_here, iterations=2, border_value=1)
+    solid = binary_fill_holes(solid & asked_here)
+    weight = np.maximum(gaussian_filter(asked_here.astype(np.float32), EDGE), 1e-3)
+    return asked_here * gaussian_filter(solid.astype(np.float32), EDGE) / weight

@@ -13,6 +13,8 @@ SH_C0 = 0.28209479177387814
 """Spherical harmonic of degree 0."""
 SPREAD, THICKNESS = 1.0, 0.2
 """Standard deviations of a disc across and along its normal, in radii: closed between neighbours, thin at the rim."""
+OPACITY = 0.9
+"""Of one disc: several overlap at every point and share its colour, or their order would fray every edge of paint."""
 SUPERSAMPLING = 2
 """Pixels across one pixel of the result: the splatter's low-pass would soften edges that the recording keeps sharp."""
 SOLID = 0.7
@@ -43,7 +45,7 @@ def draw(
     quats[normals[:, 2] < -0.9999] = (0, 1, 0, 0)
     fields = (
         surface.points[seen], quats, radii * np.float32([SPREAD, SPREAD, THICKNESS]),
-        np.full(len(normals), 0.99), ((colors - 0.5) / SH_C0)[:, None],
+        np.full(len(normals), OPACITY), ((colors - 0.5) / SH_C0)[:, None],
     )  # fmt: skip
     splats = Splats(*(torch.from_numpy(np.ascontiguousarray(f, np.float32)) for f in fields))
     fine = camera.resize(SUPERSAMPLING * camera.width, SUPERSAMPLING * camera.height)

@@ -17,6 +17,8 @@ VOXEL = 0.03
 """Grid step of the solid [m]: about what aggregated sweeps resolve."""
 ISOLATION_RADIUS, ISOLATION_COUNT = 0.12, 8
 """A point with no more neighbours than that within that distance [m] is spray or a mirror image."""
+ISO = 0.4987
+"""Occupancy of the boundary: about one half, but no value that a cell of a flat side takes exactly."""
 MIRROR_WIDTH = 0.57
 """What juts out of the side over less than half of this length [m] is a mirror, not the body."""
 TYRE_WIDTH = 0.22
@@ -108,9 +110,7 @@ def _fair(width: NDArray, zs: NDArray) -> NDArray[np.float64]:
     top = np.where(occupied, zs[width.shape[1] - 1 - (width > 0)[:, ::-1].argmax(1)], zs[0] - VOXEL)
     top = gaussian_filter1d(median_filter(top, 9, mode="nearest"), 2.0, mode="nearest")
     highest = np.where(width > 0, zs, -np.inf).argmax(1)
-    held = np.where(
-        np.arange(len(zs)) > highest[:, None], width[np.arange(len(width)), highest][:, None], width
-    )
+    held = np.where(np.arange(len(zs)) > highest[:, None], width[np.arange(len(width)), highest][:, None], width)
     median = median_filter(held, (round(MIRROR_WIDTH / VOXEL) | 1, 1), mode="nearest")
     held = np.where(median > 0, np.minimum(held, median), held)
     present = (held > 0) & (zs <= top[:, None] + VOXEL / 2) & occupied[:, None]
@@ -126,7 +126,9 @@ def fill_ends(width: NDArray, half: NDArray, xs: NDArray, size: NDArray) -> NDAr
     if len(tall) == 0:
         return width
     for sign, last in ((-1, tall[0]), (1, tall[-1])):
-        reach = max(length / 2 - sign * xs[last], 0.3)
+        reach = length / 2 - sign * xs[last]
+        if reach < 2 * VOXEL:
+            continue
         face = half[(half[:, 0] * sign > length / 2 - reach - 0.1) & (half[:, 1] < 0.3 * breadth)]
         seen = len(np.unique(np.round(face[:, 1:] / (3 * VOXEL)), axis=0)) * (3 * VOXEL) ** 2
         if seen > 0.1 * (0.3 * breadth * height):
@@ -134,9 +136,7 @@ def fill_ends(width: NDArray, half: NDArray, xs: NDArray, size: NDArray) -> NDAr
         beyond = np.flatnonzero(sign * (xs - xs[last]) >= 0)
         s = np.abs(xs[beyond] - xs[last]) / reach
         rounded = np.where(s < 0.97, np.sqrt(np.clip(1 - 0.35 * s**3, 0, 1)), 0)
-        width[beyond] = np.where(
-            s[:, None] < 0.97, np.maximum(width[beyond], width[last] * rounded[:, None]), 0
-        )
+        width[beyond] = np.where(s[:, None] < 0.97, np.maximum(width[beyond], width[last] * rounded[:, None]), 0)
     return width
 
 
@@ -167,9 +167,7 @@ def undercarriage(
     near_wheel = np.min([np.abs(xs - w.x) for w in wheels], axis=0) < 1.35 * radius
     trusted = ~near_wheel & np.isfinite(lowest)
     bottom = np.interp(xs, xs[trusted], lowest[trusted]) if trusted.any() else np.full(len(xs), clearance)
-    bottom = gaussian_filter1d(
-        median_filter(np.clip(bottom, clearance, ground + 0.45), 15, mode="nearest"), 4
-    )
+    bottom = gaussian_filter1d(median_filter(np.clip(bottom, clearance, ground + 0.45), 15, mode="nearest"), 4)
     return bottom, tuple(wheels)
 
 
@@ -203,7 +201,7 @@ def _contour(width: NDArray, xs: NDArray, zs: NDArray, wheels: tuple[Wheel, ...]
         occupancy = np.maximum(occupancy, tyre)
     image = pyvista.ImageData(dimensions=occupancy.shape, spacing=(VOXEL,) * 3, origin=(xs[0], ys[0], zs[0]))
     image["occupancy"] = occupancy.ravel(order="F")
-    mesh = image.contour([0.5], "occupancy").connectivity("largest").triangulate()
+    mesh = image.contour([ISO], "occupancy").connectivity("largest").triangulate()
     gradient = np.stack(np.gradient(gaussian_filter(occupancy, 1.5), VOXEL), -1)
     vertices = np.asarray(mesh.points, np.float64)
     cells = np.clip(np.round((vertices - image.origin) / VOXEL).astype(int), 0, np.array(occupancy.shape) - 1)

@@ -36,9 +36,7 @@ class _Hits:
     """[P] from the camera that saw them."""
 
 
-def points_of_track(
-    scene: Scene, track: Track, window: int | None = None
-) -> tuple[VehiclePoints, NDArray[np.float64]]:
+def points_of_track(scene: Scene, track: Track, window: int | None = None) -> tuple[VehiclePoints, NDArray[np.float64]]:
     """The LiDAR points on a recorded vehicle in its own frame, coloured by the cameras, and its size [3] [m].
 
     Each point is carried into the box as the box stood when it was hit, then to where the box stood when the
@@ -98,9 +96,7 @@ def _hits(scene: Scene, track: Track, sweep: LidarSweep) -> _Hits:
         pixels, depth = frame.camera.project(transform_points(world_from_vehicle, points))
         late = np.abs(times - frame.camera.time)
         size = (frame.camera.width, frame.camera.height)
-        seen = (
-            (depth > 0) & (pixels >= 0).all(1) & (pixels < size).all(1) & (late < gap) & (late < SIMULTANEOUS)
-        )
+        seen = (depth > 0) & (pixels >= 0).all(1) & (pixels < size).all(1) & (late < gap) & (late < SIMULTANEOUS)
         if seen.any():
             between = _between(sweep, frame.camera.position, world_from_vehicle[:3, 3], track.size)
             seen[seen] = ~_is_hidden(frame.camera, between, pixels[seen], depth[seen])

@@ -15,9 +15,7 @@ _UP_HABITS = ("z", "y", "x")  # of tools that state nothing
 _NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "inch": "inches", "feet": "feet"}
 
 
-def convention_of(
-    surface: Surface, name: str, unit: str | None, forward: str | None
-) -> tuple[Convention, str]:
+def convention_of(surface: Surface, name: str, unit: str | None, forward: str | None) -> tuple[Convention, str]:
     """The convention that makes a vehicle of the surface, and in words what of it was assumed.
 
     Args:
@@ -65,9 +63,7 @@ def convention_of(
         return Convention(found, up, forward), "" if stated or unit else "unit assumed from its size"
     slope = _slope(surface.points, along, up)
     if abs(slope) > 0.05:
-        return Convention(
-            found, up, ("" if slope > 0 else "-") + along
-        ), f"{what} assumed from its size and shape"
+        return Convention(found, up, ("" if slope > 0 else "-") + along), f"{what} assumed from its size and shape"
     return Convention(found, up, along), f"{what} assumed from its size, front and rear look alike"
 
 
@@ -89,8 +85,7 @@ def describe(convention: Convention, size: NDArray, assumed: str) -> str:
 def _is_vehicle(size: NDArray, axes: tuple[str, ...]) -> bool:
     length, width, height = (size["xyz".index(axis)] for axis in axes)
     within = all(
-        low <= s <= high
-        for s, (low, high) in zip((length, width, height), (LENGTH, WIDTH, HEIGHT), strict=True)
+        low <= s <= high for s, (low, high) in zip((length, width, height), (LENGTH, WIDTH, HEIGHT), strict=True)
     )
     return bool(within and length > width and length > height)
 

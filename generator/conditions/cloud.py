@@ -75,18 +75,14 @@ def read_header(path: Path) -> PlyHeader:
                 comments.append(" ".join(text))
             case ["element", element, count] if count.isdigit():
                 if element == "vertex" and counts:
-                    raise InputError(
-                        f"vertices come first in a PLY file, {path.name} begins with {next(iter(counts))}"
-                    )
+                    raise InputError(f"vertices come first in a PLY file, {path.name} begins with {next(iter(counts))}")
                 counts[element] = int(count)
             case ["property", kind, name] if element == "vertex" and kind in _TYPES:
                 properties.append((name, _TYPES[kind]))
             case ["property", *_] if element == "vertex":
                 raise InputError(f"vertices hold plain numbers, {path.name} declares '{' '.join(words)}'")
     if order is None:
-        raise InputError(
-            f"a PLY file is ascii, binary_little_endian or binary_big_endian, {path.name} is neither"
-        )
+        raise InputError(f"a PLY file is ascii, binary_little_endian or binary_big_endian, {path.name} is neither")
     header = PlyHeader(
         order, tuple(comments), counts.get("vertex", 0), tuple(properties), counts.get("face", 0), end.end()
     )
@@ -116,9 +112,7 @@ def read_cloud(
     if header.vertices == 0:
         raise InputError(f"a vehicle has at least one point, {path.name} is an empty cloud")
     if len(set(names)) != len(names) or not {"x", "y", "z"} <= set(names):
-        raise InputError(
-            f"vertices have one x, y and z each, {path.name} declares {', '.join(names) or 'nothing'}"
-        )
+        raise InputError(f"vertices have one x, y and z each, {path.name} declares {', '.join(names) or 'nothing'}")
     with path.open("rb") as file:
         file.seek(header.body)
         if header.order:
@@ -129,17 +123,12 @@ def read_cloud(
             try:
                 table = np.loadtxt(file, max_rows=header.vertices, ndmin=2, encoding="latin-1")
             except ValueError as error:
-                raise InputError(
-                    f"vertices of {path.name} are rows of {len(names)} numbers: {error}"
-                ) from None
+                raise InputError(f"vertices of {path.name} are rows of {len(names)} numbers: {error}") from None
             if table.shape != (header.vertices, len(names)):
-                raise InputError(
-                    f"{path.name} declares {header.vertices} x {len(names)} numbers, has {table.shape}"
-                )
+                raise InputError(f"{path.name} declares {header.vertices} x {len(names)} numbers, has {table.shape}")
             with np.errstate(invalid="ignore"):
                 columns = {
-                    name: column.astype(kind)
-                    for (name, kind), column in zip(header.properties, table.T, strict=True)
+                    name: column.astype(kind) for (name, kind), column in zip(header.properties, table.T, strict=True)
                 }
 
     points = np.stack([columns[c] for c in "xyz"], 1).astype(np.float64)

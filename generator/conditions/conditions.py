@@ -102,9 +102,7 @@ class _Drawing:
         if len(rows):
             window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
         height, width = mask.shape
-        return _Drawing(
-            (height, width), window, image[window].copy(), mask[window].copy(), reactive[window].copy()
-        )
+        return _Drawing((height, width), window, image[window].copy(), mask[window].copy(), reactive[window].copy())
 
     def whole(self, part: NDArray, fill: int) -> NDArray:
         image = np.full((*self.shape, *part.shape[2:]), fill, part.dtype)

@@ -121,9 +121,7 @@ def read_insertion(path: Path) -> Insertion:
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"'{path / 'insertion.json'}' lacks or garbles {error}; write it again") from None
     if size.shape != (3,) or not (np.isfinite(size) & (size > 0)).all():
-        raise InputError(
-            f"a size is three positive lengths [m], '{path / 'insertion.json'}' says {document['size']}"
-        )
+        raise InputError(f"a size is three positive lengths [m], '{path / 'insertion.json'}' says {document['size']}")
     if not (path / "points.ply").is_file():
         raise InputError(f"'{path}' has no points.ply; the insertion is incomplete, write it again")
     points, colors, normals = read_cloud(path / "points.ply")
@@ -149,9 +147,7 @@ def _summary(cameras: Any) -> str:
         for name, frames in cameras.items():
             first, last = frames[0], frames[-1]
             width, height = first["size"]
-            parts.append(
-                f"{name} {first['index']}-{last['index']} ({len(frames)} frames of {width}x{height})"
-            )
+            parts.append(f"{name} {first['index']}-{last['index']} ({len(frames)} frames of {width}x{height})")
         return ", ".join(parts)
     except (AttributeError, KeyError, IndexError, TypeError, ValueError):
         return "nothing that can be understood"
@@ -159,9 +155,7 @@ def _summary(cameras: Any) -> str:
 
 def _camera_folder(path: Path, name: str) -> Path:
     if name in ("", ".", "..", "insertion") or "/" in name or "\\" in name:
-        raise InputError(
-            f"a camera's name is a folder's name other than 'insertion', not '{name}'; rename it"
-        )
+        raise InputError(f"a camera's name is a folder's name other than 'insertion', not '{name}'; rename it")
     return path / name
 
 

@@ -60,9 +60,7 @@ def project(
 
 
 @wp.kernel
-def find_nearest(
-    pixels: wp.array(dtype=wp.vec3), radius: float, reach: float, nearest: wp.array2d(dtype=float)
-):
+def find_nearest(pixels: wp.array(dtype=wp.vec3), radius: float, reach: float, nearest: wp.array2d(dtype=float)):
     """Depth of the nearest surface; a point is stamped so wide that it meets its neighbours. One thread.
 
     Args:

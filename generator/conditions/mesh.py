@@ -74,13 +74,9 @@ def sample_mesh(path: Path, seed: int = 0) -> Surface:
         normals[here] = _normals(mesh, transform, own, spots)
         first += len(own)
     if not whole.any():
-        raise InputError(
-            f"a vehicle's mesh is opaque somewhere, the materials of {path.name} cut all of it away"
-        )
+        raise InputError(f"a vehicle's mesh is opaque somewhere, the materials of {path.name} cut all of it away")
     stated = Convention("m", "y", "z") if path.suffix.lower() in (".glb", ".gltf") else None
-    return Surface(
-        points[whole], colors[whole], normals[whole], triangles, chosen[whole], stated, tuple(remarks)
-    )
+    return Surface(points[whole], colors[whole], normals[whole], triangles, chosen[whole], stated, tuple(remarks))
 
 
 def _distrust(path: Path) -> list[str]:
@@ -98,9 +94,7 @@ def _distrust(path: Path) -> list[str]:
     missing = [name for name in libraries if not _beside(path, name)]
     for name in set(libraries) - set(missing):
         text = (path.parent / name).read_text(errors="replace")
-        missing += [
-            t.strip() for t in re.findall(r"(?mi)^\s*map_Kd\s+(.+)$", text) if not _beside(path, t.strip())
-        ]
+        missing += [t.strip() for t in re.findall(r"(?mi)^\s*map_Kd\s+(.+)$", text) if not _beside(path, t.strip())]
     return [f"not found beside it, left out: {', '.join(sorted(set(missing)))}"] if missing else []
 
 
@@ -108,22 +102,16 @@ def _distrust_gltf(path: Path, size: int) -> None:
     with path.open("rb") as file:
         if path.suffix.lower() == ".glb":
             head = file.read(20)
-            magic, _, _, length, kind = (
-                struct.unpack("<4sIIII", head) if len(head) == 20 else (b"", 0, 0, 0, 0)
-            )
+            magic, _, _, length, kind = struct.unpack("<4sIIII", head) if len(head) == 20 else (b"", 0, 0, 0, 0)
             if magic != b"glTF" or kind != 0x4E4F534A or length > size - 20:
-                raise InputError(
-                    f"a .glb file begins with 'glTF' and a JSON chunk that fits, {path.name} does not"
-                )
+                raise InputError(f"a .glb file begins with 'glTF' and a JSON chunk that fits, {path.name} does not")
             text = file.read(length)
         else:
             text = file.read()
     try:
         tree = json.loads(text)
         items = sum(int(accessor["count"]) for accessor in tree.get("accessors", []))
-        links = [
-            item["uri"] for kind in ("buffers", "images") for item in tree.get(kind, []) if "uri" in item
-        ]
+        links = [item["uri"] for kind in ("buffers", "images") for item in tree.get(kind, []) if "uri" in item]
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{path.name} is not a valid glTF file: {error!r}") from None
     if items > 3 * _MAX_FACES:
@@ -144,9 +132,7 @@ def _corners(mesh: trimesh.Trimesh, transform: NDArray) -> NDArray[np.float64]:
     return vertices[mesh.faces]
 
 
-def _normals(
-    mesh: trimesh.Trimesh, transform: NDArray, corners: NDArray, spots: Spots
-) -> NDArray[np.float64]:
+def _normals(mesh: trimesh.Trimesh, transform: NDArray, corners: NDArray, spots: Spots) -> NDArray[np.float64]:
     """Unit normals [P, 3]: those of the vertices, but of the face where a vertex is the tip of an edge."""
     edges = corners[:, 1:] - corners[:, :1]
     flat = _unit(np.cross(edges[:, 0], edges[:, 1]))[spots.face, None]

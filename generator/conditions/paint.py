@@ -101,9 +101,7 @@ def _texture(image: Image.Image, uv: NDArray, name: str) -> NDArray[np.float64]:
     """Texels [P, 4] in [0, 1] at ``uv`` [P, 2] (v up, repeating), bilinear."""
     if image.width * image.height > MAX_TEXTURE:
         size = f"{image.width}x{image.height}"
-        raise InputError(
-            f"a texture has at most {MAX_TEXTURE >> 20} Mpx, one of {name} has {size}; shrink it"
-        )
+        raise InputError(f"a texture has at most {MAX_TEXTURE >> 20} Mpx, one of {name} has {size}; shrink it")
     if not np.isfinite(uv).all():
         raise InputError(f"texture coordinates are finite, some of {name} are not; repair the mesh")
     try:

@@ -35,9 +35,7 @@ def load_vehicle(
     if not path.is_file():
         raise InputError(f"a vehicle is a mesh, a point cloud or an asset folder, there is none at {path}")
     if path.suffix.lower() not in mesh.SUFFIXES:
-        raise InputError(
-            f"a vehicle's file is one of {', '.join(mesh.SUFFIXES)}, not {path.name}; convert it"
-        )
+        raise InputError(f"a vehicle's file is one of {', '.join(mesh.SUFFIXES)}, not {path.name}; convert it")
     if path.suffix.lower() == ".ply":
         header = cloud.read_header(path)
         if header.faces == 0:
@@ -56,9 +54,7 @@ def _from_surface(
     low, high = (solid @ turn.T).min(0), (solid @ turn.T).max(0)
     remarks = list(surface.remarks)
     if surface.triangles is not None and _CLEARANCE[0] < low[2] < _CLEARANCE[1]:
-        remarks.append(
-            f"it ends {100 * low[2]:.0f} cm above its own zero, taken for the ground (has it no wheels?)"
-        )
+        remarks.append(f"it ends {100 * low[2]:.0f} cm above its own zero, taken for the ground (has it no wheels?)")
         low[2] = 0.0
     size, center = high - low, (low + high) / 2
     points = surface.points @ turn.T - center
@@ -83,9 +79,7 @@ def _from_surface(
 def _cloud_surface(path: Path) -> Surface:
     points, colors, normals = cloud.read_cloud(path)
     if colors is None:
-        return Surface(
-            points, np.full(points.shape, _GREY, np.uint8), normals, remarks=("no colours, drawn grey",)
-        )
+        return Surface(points, np.full(points.shape, _GREY, np.uint8), normals, remarks=("no colours, drawn grey",))
     return Surface(points, colors, normals)
 
 
@@ -101,9 +95,7 @@ def _from_box(path: Path, size: NDArray[np.float64]) -> tuple[VehiclePoints, NDA
     inside = (np.abs(surface.points) <= size / 2 + _BOX_SLACK).all(1)
     normals = None if surface.normals is None else surface.normals[inside].astype(np.float32)
     vehicle = VehiclePoints(surface.points[inside].astype(np.float32), surface.colors[inside], normals)
-    words = (
-        f"{path.name}: states its box ({' x '.join(f'{s:.2f}' for s in size)} m), metres, up +z, forward +x"
-    )
+    words = f"{path.name}: states its box ({' x '.join(f'{s:.2f}' for s in size)} m), metres, up +z, forward +x"
     return vehicle, size, "; ".join([words, *surface.remarks])
 
 

@@ -107,9 +107,7 @@ def pandaset_folder(tmp_path: Path, write_table: WriteTable) -> Path:
 
     def poses(positions, quat):
         heading = dict(zip("wxyz", quat, strict=True))
-        return [
-            {"position": dict(zip("xyz", map(float, p), strict=True)), "heading": heading} for p in positions
-        ]
+        return [{"position": dict(zip("xyz", map(float, p), strict=True)), "heading": heading} for p in positions]
 
     def write_json(path: Path, content) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)

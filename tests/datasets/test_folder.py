@@ -104,9 +104,7 @@ def test_a_scene_may_be_written_over_itself_and_progress_is_told(scene, tmp_path
     heard = []
     folder.write(folder.read(tmp_path / "a"), tmp_path / "a", lambda done, total: heard.append((done, total)))
     assert heard == [(i, 6) for i in range(1, 7)]
-    np.testing.assert_array_equal(
-        folder.read(tmp_path / "a").all_frames()[2].pixels, scene.all_frames()[2].pixels
-    )
+    np.testing.assert_array_equal(folder.read(tmp_path / "a").all_frames()[2].pixels, scene.all_frames()[2].pixels)
 
 
 def test_without_sweeps_there_is_no_sweep_file(scene, tmp_path):

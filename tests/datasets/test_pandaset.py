@@ -17,9 +17,7 @@ def test_frames_are_indexed_by_number_and_the_front_camera_is_the_main_one(panda
     assert scene.name == "042"
     frames = scene.frames["front_camera"]
     assert [frame.index for frame in frames] == [3, 4, 5, 6, 7]
-    np.testing.assert_allclose(
-        [frame.camera.time for frame in frames], [0.25, 0.35, 0.45, 0.55, 0.65], atol=1e-6
-    )
+    np.testing.assert_allclose([frame.camera.time for frame in frames], [0.25, 0.35, 0.45, 0.55, 0.65], atol=1e-6)
     np.testing.assert_allclose(frames[0].camera.position, (0, 2 * 0.3, 1.8), atol=1e-6)
 
 
@@ -131,9 +129,7 @@ def test_a_broken_file_is_named_in_a_sentence(pandaset_folder, file, content, se
 
 def test_a_table_of_other_columns_is_named(pandaset_folder, write_table):
     write_table(pandaset_folder / "lidar/03.pkl.gz", {"x": np.zeros(3), "y": np.zeros(3)})
-    with pytest.raises(
-        InputError, match=r"03\.pkl\.gz' is a table with the columns x, y, z, t and d, it has x, y"
-    ):
+    with pytest.raises(InputError, match=r"03\.pkl\.gz' is a table with the columns x, y, z, t and d, it has x, y"):
         pandaset.read(pandaset_folder)
 
 
@@ -158,9 +154,7 @@ def test_boxes_without_extent_are_refused(pandaset_folder, write_table):
 
 
 def test_a_folder_that_is_no_drive_says_what_was_looked_for(pandaset_folder, tmp_path):
-    with pytest.raises(
-        InputError, match=r"neither scene\.json .* nor lidar/poses\.json .*did you mean '.*042'"
-    ):
+    with pytest.raises(InputError, match=r"neither scene\.json .* nor lidar/poses\.json .*did you mean '.*042'"):
         open_scene(tmp_path)
     with pytest.raises(InputError, match="there is no folder"):
         open_scene(tmp_path / "nothing")
@@ -173,6 +167,4 @@ def test_json_keys_may_come_in_any_order(pandaset_folder):
     poses = [dict(reversed(pose.items())) for pose in json.loads(file.read_text())]
     before = pandaset.read(pandaset_folder).ego
     file.write_text(json.dumps(poses))
-    np.testing.assert_array_equal(
-        pandaset.read(pandaset_folder).ego.world_from_vehicle, before.world_from_vehicle
-    )
+    np.testing.assert_array_equal(pandaset.read(pandaset_folder).ego.world_from_vehicle, before.world_from_vehicle)

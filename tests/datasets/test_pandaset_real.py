@@ -41,9 +41,7 @@ def test_cameras_are_bolted_to_the_ego(scene):
     """Stamps and poses belong together: between the ego and any camera nothing moves by a centimetre."""
     for frames in scene.frames.values():
         times = np.array([frame.camera.time for frame in frames])
-        ego_from_camera = inverse(scene.ego.at(times)) @ np.stack(
-            [f.camera.world_from_camera for f in frames]
-        )
+        ego_from_camera = inverse(scene.ego.at(times)) @ np.stack([f.camera.world_from_camera for f in frames])
         assert np.ptp(ego_from_camera[:, :3, 3], axis=0).max() < 0.02
 
 

@@ -65,10 +65,7 @@ def test_a_reactive_mask_holds_every_pixel_that_it_touched():
     small = resize_scene(scene, 20, 10).frames["front"][0].reactive_mask
     assert small.dtype == bool
     assert np.argwhere(small).tolist() == [[5, 10]]
-    assert (
-        resize_scene(scene_of(np.zeros((100, 200, 3), np.uint8)), 20, 10).frames["front"][0].reactive_mask
-        is None
-    )
+    assert resize_scene(scene_of(np.zeros((100, 200, 3), np.uint8)), 20, 10).frames["front"][0].reactive_mask is None
 
 
 def test_the_same_size_changes_nothing():

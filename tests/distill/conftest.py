@@ -88,9 +88,7 @@ def placed(gaussians, world_from_vehicle):
 @pytest.fixture(scope="session")
 def toy():
     rng = np.random.default_rng(3)
-    ground = np.column_stack(
-        [rng.uniform(2, 30, 3000), rng.uniform(-12, 12, 3000), rng.normal(0, 0.01, 3000)]
-    )
+    ground = np.column_stack([rng.uniform(2, 30, 3000), rng.uniform(-12, 12, 3000), rng.normal(0, 0.01, 3000)])
     greys = rng.uniform(0.3, 0.6, (3000, 1)) * [1, 1, 0.9]
     sky = np.tile(np.float32([0.5, 0.7, 0.9]), (8, 16, 1))
     background = Background(cloud(ground, greys, [0.3, 0.3, 0.02]), sky)
@@ -101,9 +99,7 @@ def toy():
         np.float32(points), np.full((6000, 3), 128, np.uint8), np.float32(normals), is_complete=True
     )
     times = np.arange(FRAMES) / 10
-    positions = np.column_stack(
-        [9 + 0.1 * np.arange(FRAMES), 4 - 0.7 * np.arange(FRAMES), np.full(FRAMES, 0.75)]
-    )
+    positions = np.column_stack([9 + 0.1 * np.arange(FRAMES), 4 - 0.7 * np.arange(FRAMES), np.full(FRAMES, 0.75)])
     trajectory = Trajectory(times, pose(yaw_rotation(-1.2 + 0.05 * np.arange(FRAMES)), positions))
     K = np.array([[80.0, 0, WIDTH / 2], [0, 80, HEIGHT / 2], [0, 0, 1]])
     cameras = tuple(Camera(K, WIDTH, HEIGHT, pose(CAMERA_AXES, [0, 0, 1.5]), t) for t in times)

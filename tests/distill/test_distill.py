@@ -74,20 +74,14 @@ def sweeps_through(toy, depth_inside):
     for frame in toy.scene().frames["front"]:
         camera = frame.camera
         x, y = np.meshgrid(np.arange(96) + 0.5, np.arange(64) + 0.5)
-        rays = (
-            np.stack([x, y, np.ones_like(x)], -1)
-            @ np.linalg.inv(camera.K).T
-            @ camera.world_from_camera[:3, :3].T
-        )
+        rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(camera.K).T @ camera.world_from_camera[:3, :3].T
         depth = np.where(frame.reactive_mask, depth_inside, 12.0)[..., None]
         points = (camera.position + depth * rays).reshape(-1, 3).astype(np.float32)
         yield LidarSweep(points, np.full(len(points), camera.time), camera.position, camera.time, frame.index)
 
 
 def test_lidar_inside_the_reactive_mask_changes_no_byte(toy, quick):
-    assets = [
-        run(toy.scene(sweeps_through(toy, depth)), toy.background, toy.insertion)[1] for depth in (3.0, 25.0)
-    ]
+    assets = [run(toy.scene(sweeps_through(toy, depth)), toy.background, toy.insertion)[1] for depth in (3.0, 25.0)]
     assert same(assets[0].gaussians, assets[1].gaussians)
     assert not same(assets[0].gaussians, quick[1].gaussians)  # outside it does count
 
@@ -121,9 +115,7 @@ def test_the_only_frames_that_show_it_are_never_all_held_out(toy):
     frames = list(toy.scene().frames["front"])
     hidden = np.zeros((64, 96), bool)
     frames = [f if i == 4 else replace(f, load_reactive_mask=lambda: hidden) for i, f in enumerate(frames)]
-    _, _, report = run(
-        Scene("once", {"front": tuple(frames)}, toy.insertion.trajectory), toy.background, toy.insertion
-    )
+    _, _, report = run(Scene("once", {"front": tuple(frames)}, toy.insertion.trajectory), toy.background, toy.insertion)
     assert [f["heldout"] for f in report["frames"]] == [False]
 
 

@@ -58,9 +58,7 @@ def test_layered_gradients_equal_those_of_one_pass(toy):
     gradients = []
     for render in (one_pass, lambda *a: layered(*a)[0]):
         truth = Splats.from_gaussians(toy.truth)
-        leaves = [
-            t.clone().requires_grad_() for t in (truth.means, truth.scales, truth.opacities / 10, truth.sh)
-        ]
+        leaves = [t.clone().requires_grad_() for t in (truth.means, truth.scales, truth.opacities / 10, truth.sh)]
         body = Splats(leaves[0], truth.quats, *leaves[1:])
         (render(toy, toy.cameras[5], body)[0] * weight).sum().backward()
         gradients.append([leaf.grad for leaf in leaves])

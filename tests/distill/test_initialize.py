@@ -12,9 +12,7 @@ SIZE = np.array([4.0, 1.8, 1.5])
 def wall(count=4000, normals=True, is_complete=True, seed=0):
     """The left side of a box: y = 0.9, red."""
     rng = np.random.default_rng(seed)
-    points = np.column_stack(
-        [rng.uniform(-2, 2, count), np.full(count, 0.9), rng.uniform(-0.75, 0.75, count)]
-    )
+    points = np.column_stack([rng.uniform(-2, 2, count), np.full(count, 0.9), rng.uniform(-0.75, 0.75, count)])
     outward = np.tile(np.float32([0, 1, 0]), (count, 1))
     colors = np.tile(np.uint8([255, 0, 0]), (count, 1))
     return VehiclePoints(points.astype(np.float32), colors, outward if normals else None, is_complete)

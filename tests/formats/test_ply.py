@@ -102,9 +102,7 @@ def test_values_settle_at_every_exponent(tmp_path):
     for scales, opacities in ((x, x), (1 / x, 1 - x)):
         n = len(x)
         flat = np.zeros((n, 1, 3), np.float32)
-        cloud = Gaussians(
-            flat[:, 0], np.eye(4, dtype="f4")[[0] * n], scales[:, None] + flat[:, 0], opacities, flat
-        )
+        cloud = Gaussians(flat[:, 0], np.eye(4, dtype="f4")[[0] * n], scales[:, None] + flat[:, 0], opacities, flat)
         ply.write(cloud, tmp_path / "a.ply")
         ply.write(ply.read(tmp_path / "a.ply"), tmp_path / "b.ply")
         assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()

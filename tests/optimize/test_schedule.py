@@ -1,6 +1,6 @@
 """The order of views and the length of steps."""
 
-from itertools import islice
+from itertools import islice, pairwise
 
 import pytest
 
@@ -15,7 +15,7 @@ def test_each_view_comes_once_in_every_epoch(count):
 
 def test_a_few_views_in_a_row_are_spread_over_the_clip():
     draws = sorted(islice(view_order(100), 10))
-    gaps = [b - a for a, b in zip(draws, draws[1:], strict=False)]
+    gaps = [b - a for a, b in pairwise(draws)]
     assert max(gaps) <= 20
 
 

@@ -28,9 +28,7 @@ def fit(scene, config=CONFIG):
 def digest(background):
     g = background.gaussians
     poses = b"".join(background.poses[key].tobytes() for key in sorted(background.poses))
-    return (
-        b"".join(x.tobytes() for x in (g.means, g.quats, g.scales, g.opacities, g.sh, background.sky)) + poses
-    )
+    return b"".join(x.tobytes() for x in (g.means, g.quats, g.scales, g.opacities, g.sh, background.sky)) + poses
 
 
 @pytest.fixture(scope="module")

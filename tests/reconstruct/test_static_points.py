@@ -13,10 +13,7 @@ def test_points_on_a_moving_car_are_dropped_each_at_its_own_time(drive):
     rng = np.random.default_rng(0)
     times = rng.uniform(sweep.time - 0.1, sweep.time, 200)
     on_car = np.concatenate(
-        [
-            transform_points(track.trajectory.at(t), (rng.uniform(-0.5, 0.5, 3) * CAR_SIZE)[None])
-            for t in times
-        ]
+        [transform_points(track.trajectory.at(t), (rng.uniform(-0.5, 0.5, 3) * CAR_SIZE)[None]) for t in times]
     )
     both = replace(
         sweep,
@@ -41,9 +38,7 @@ def test_people_noise_and_nan_are_not_the_street():
 
 def test_a_depth_hidden_by_something_nearer_is_no_sample(drive):
     camera = drive.frames["front"][0].camera
-    wall = np.array(
-        [[20, y, z] for y in np.linspace(-2, 2, 60) for z in np.linspace(0.5, 2.5, 40)], np.float32
-    )
+    wall = np.array([[20, y, z] for y in np.linspace(-2, 2, 60) for z in np.linspace(0.5, 2.5, 40)], np.float32)
     pixels, depths = depth_samples(
         np.concatenate([wall, wall * [0.4, 0.4, 0.4] + [0, 0, 0.9]]).astype(np.float32), camera
     )

@@ -19,9 +19,7 @@ def test_rays_come_down_where_the_ground_is_and_only_if_they_do():
 
 def test_road_points_are_about_as_far_apart_as_they_say():
     rotation = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], float)
-    camera = Camera(
-        np.array([[80, 0, 48], [0, 80, 28], [0, 0, 1]], float), 96, 64, pose(rotation, [0, 0, 1.5]), 0
-    )
+    camera = Camera(np.array([[80, 0, 48], [0, 80, 28], [0, 0, 1]], float), 96, 64, pose(rotation, [0, 0, 1.5]), 0)
     mask = np.zeros((64, 96), bool)
     mask[40:60, 20:70] = True
     points, spacing = road_seen(SLOPE, camera, mask)

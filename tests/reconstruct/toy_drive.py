@@ -53,9 +53,7 @@ def make_drive(frames=9, traffic=True, seed=0):
     for i in range(frames):
         camera = Camera(K, WIDTH, HEIGHT, pose(AHEAD, [0.5 * i, 0, EYE]), times[i])
         image = paint(camera)
-        ground = np.column_stack(
-            [rng.uniform(0.5 * i + 2, WALL, 2500), rng.uniform(-12, 12, 2500), np.zeros(2500)]
-        )
+        ground = np.column_stack([rng.uniform(0.5 * i + 2, WALL, 2500), rng.uniform(-12, 12, 2500), np.zeros(2500)])
         wall = np.column_stack([np.full(1200, WALL), rng.uniform(-16, 16, 1200), rng.uniform(0, 4, 1200)])
         points = np.concatenate([ground, wall])
         if traffic:
@@ -66,9 +64,7 @@ def make_drive(frames=9, traffic=True, seed=0):
         stamps = np.full(len(points), times[i])
         sweeps.append(LidarSweep(points.astype(np.float32), stamps, ego[i][:3, 3] + [0, 0, 1.8], times[i], i))
     track = Track("car", "Car", CAR_SIZE, Trajectory(times, np.array(car)), is_moving=True)
-    return Scene(
-        "toy", {"front": tuple(recorded)}, Trajectory(times, np.array(ego)), tuple(sweeps), (track,) * traffic
-    )
+    return Scene("toy", {"front": tuple(recorded)}, Trajectory(times, np.array(ego)), tuple(sweeps), (track,) * traffic)
 
 
 def _hidden(origin, points, world_from_car):

@@ -26,9 +26,7 @@ def world(rng, count: int = 30000) -> tuple[np.ndarray, np.ndarray]:
     ground = np.column_stack([xy, true_height(xy) + rng.normal(0, 0.015, count)])
     is_under_car = (abs(xy[:, 0] - 12) < 2.3) & (abs(abs(xy[:, 1]) - 3) < 0.95)
     ground[is_under_car, 2] += rng.uniform(0.3, 1.5, is_under_car.sum())
-    wall = np.column_stack(
-        [rng.uniform(-40, 60, count // 3), np.full(count // 3, 9.0), rng.uniform(5, 15, count // 3)]
-    )
+    wall = np.column_stack([rng.uniform(-40, 60, count // 3), np.full(count // 3, 9.0), rng.uniform(5, 15, count // 3)])
     labels = np.where(is_under_car, SURFACES.index("vehicle"), SURFACES.index("ground"))
     return np.concatenate([ground, wall]), np.append(labels, np.full(len(wall), SURFACES.index("static")))
 
@@ -98,8 +96,7 @@ def test_a_scene_turned_has_its_ground_turned():
     angle = 0.7
     turn = yaw_rotation(angle)
     turned = [
-        LidarSweep((s.points @ turn.T).astype(np.float32), s.times, s.origin, s.time, 0, s.labels)
-        for s in sweeps()
+        LidarSweep((s.points @ turn.T).astype(np.float32), s.times, s.origin, s.time, 0, s.labels) for s in sweeps()
     ]
     ground = Ground.from_sweeps(turned, EGO.moved(pose(turn, np.zeros(3))))
     xy = np.stack(np.meshgrid(np.arange(-10, 30, 1.3), np.arange(-5, 5, 1.3)), -1)

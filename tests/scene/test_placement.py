@@ -104,18 +104,14 @@ def test_without_lidar_nothing_can_be_placed():
 
 def box_at(x, y: float, yaw: float = 0.0) -> Trajectory:
     x = np.broadcast_to(x, TIMES.shape)
-    return Trajectory(
-        TIMES, pose(yaw_rotation(np.full(len(x), yaw)), np.stack([x, np.full_like(x, y), 0 * x], 1))
-    )
+    return Trajectory(TIMES, pose(yaw_rotation(np.full(len(x), yaw)), np.stack([x, np.full_like(x, y), 0 * x], 1)))
 
 
 def test_conflicts_name_who_is_hit_and_when():
     tracks = (
         Track("oncoming", "Car", np.array([4.0, 2, 1.5]), box_at(30 - 10 * TIMES, 0), True),
         Track("beside", "Car", np.array([4.0, 2, 1.5]), box_at(10.0, 2.5), False),
-        Track(
-            "earlier", "Car", SIZE, Trajectory(TIMES[:3] - 5, box_at(10.0, 0).world_from_vehicle[:3]), True
-        ),
+        Track("earlier", "Car", SIZE, Trajectory(TIMES[:3] - 5, box_at(10.0, 0).world_from_vehicle[:3]), True),
     )
     scene = scene_of(drive(2 * TIMES), tracks)
     assert conflicts(scene, SIZE, box_at(10.0, 0)) == [("oncoming", 26, 34)]

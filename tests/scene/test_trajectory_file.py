@@ -29,9 +29,7 @@ def test_what_is_written_comes_back_bit_by_bit(tmp_path):
 
 def test_poses_may_be_positions_and_quaternions(tmp_path):
     half = np.sqrt(0.5)
-    file = written(
-        tmp_path, {"times": [0, 1], "positions": [[1, 2, 3]] * 2, "quaternions": [[half, 0, 0, half]] * 2}
-    )
+    file = written(tmp_path, {"times": [0, 1], "positions": [[1, 2, 3]] * 2, "quaternions": [[half, 0, 0, half]] * 2})
     world_from_vehicle = read_trajectory(file, SIZE).world_from_vehicle[1]
     np.testing.assert_allclose(world_from_vehicle, pose(yaw_rotation(np.pi / 2), [1, 2, 3]), atol=1e-12)
 

@@ -83,9 +83,7 @@ def test_views_wider_than_the_affine_bound_equal_the_reference(make_cloud, make_
 def test_one_gaussian_can_cover_everything(make_view):
     view = make_view()
     center = -view.viewmat[:3, :3].T @ (view.viewmat[:3, 3] - torch.tensor([0.0, 0.0, 3.0]))
-    splats = Splats(
-        center[None], torch.eye(4)[:1], torch.full((1, 3), 500.0), torch.tensor([0.6]), torch.ones(1, 1, 3)
-    )
+    splats = Splats(center[None], torch.eye(4)[:1], torch.full((1, 3), 500.0), torch.tensor([0.6]), torch.ones(1, 1, 3))
     assert torch.allclose(render(splats, view).alpha, torch.tensor(0.6), atol=1e-4)
 
 

@@ -181,9 +181,7 @@ def test_the_shadow_falls_away_from_the_sun(street, insertion):
     for name, sign in (("lit", 1), ("shadow", -1)):
         point = world_from_vehicle[:3, 3] + sign * across * (size[1] / 2 + 0.45)
         above = np.array([[0, 1, 0, point[0]], [1, 0, 0, point[1]], [0, 0, -1, 1.2], [0, 0, 0, 1.0]])
-        down = replace(camera, K=np.array([[60, 0, 8], [0, 60, 8], [0, 0, 1.0]]), width=16, height=16).at(
-            above
-        )
+        down = replace(camera, K=np.array([[60, 0, 8], [0, 60, 8], [0, 0, 1.0]]), width=16, height=16).at(above)
         empty = street.view(down, camera.time).rgb.astype(float).mean()
         sides[name] = street.view(down, camera.time, insertion).rgb.astype(float).mean() / empty
     assert sides["lit"] > 0.85
@@ -233,6 +231,4 @@ def test_the_street_looks_as_it_did_when_last_approved():
     spec.loader.exec_module(maker)
     golden = np.asarray(Image.open(maker.GOLDEN), np.float64)
     error = ((maker.golden_frame() - golden) ** 2).mean()
-    assert 10 * np.log10(255**2 / max(error, 1e-9)) > 38, (
-        "look at the frame; if it is meant, run make_street.py"
-    )
+    assert 10 * np.log10(255**2 / max(error, 1e-9)) > 38, "look at the frame; if it is meant, run make_street.py"

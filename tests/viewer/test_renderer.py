@@ -57,9 +57,7 @@ def test_the_sky_is_where_the_scene_says(renderer, yaw, pitch):
 def test_one_sheet_is_composited_by_the_book(renderer):
     image = renderer.render(standing(sheet(7.0, (0.9, 0.6, 0.2), 0.5)), camera())
     np.testing.assert_allclose(image.alpha, 0.5, rtol=1e-3)
-    np.testing.assert_allclose(
-        image.rgb, 0.5 * np.array([0.9, 0.6, 0.2]) + 0.5 * 0.25 + 0 * image.rgb, atol=1e-3
-    )
+    np.testing.assert_allclose(image.rgb, 0.5 * np.array([0.9, 0.6, 0.2]) + 0.5 * 0.25 + 0 * image.rgb, atol=1e-3)
     np.testing.assert_allclose(image.depth, 7.0, rtol=1e-5)
 
 
@@ -98,9 +96,7 @@ def test_the_same_call_gives_the_same_bytes_whatever_was_drawn_between(renderer,
 
 def test_a_vehicle_and_a_camera_that_move_together_see_the_same(renderer):
     rng = np.random.default_rng(3)
-    asset = VehicleAsset(
-        random_cloud(rng, 400, (-2, -1, -1), (2, 1, 1)), Gaussians.empty(), np.array([4.0, 2, 2])
-    )
+    asset = VehicleAsset(random_cloud(rng, 400, (-2, -1, -1), (2, 1, 1)), Gaussians.empty(), np.array([4.0, 2, 2]))
     relative = pose(AHEAD, [-6.0, 0.2, 0.3])  # vehicle_from_camera
     images = []
     for quat, position in (([1, 0, 0, 0], [0, 0, 0]), ([0.5, 0.2, -0.4, 0.9], [300, -200, 9])):

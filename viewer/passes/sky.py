@@ -13,9 +13,7 @@ class Sky:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._program = context.program(
-            vertex_shader=source("sky_vertex"), fragment_shader=source("sky_fragment")
-        )
+        self._program = context.program(vertex_shader=source("sky_vertex"), fragment_shader=source("sky_fragment"))
         self._triangle = context.vertex_array(self._program, [])
         self._sky: NDArray[np.float32] | None = None
         self._texture: moderngl.Texture | None = None

@@ -99,9 +99,7 @@ def emit(
 
 
 @wp.kernel
-def find_ranges(
-    first: int, tile_from_sorted: wp.array(dtype=int), count: int, ranges: wp.array(dtype=wp.vec2i)
-):
+def find_ranges(first: int, tile_from_sorted: wp.array(dtype=int), count: int, ranges: wp.array(dtype=wp.vec2i)):
     """First and one past the last sorted intersection of each tile; ``ranges`` starts as zeros."""
     k = first + wp.tid()
     tile = tile_from_sorted[k]

@@ -202,9 +202,7 @@ _ADJOINT = f"""
 
 
 @wp.func_native(_FORWARD)
-def draw_tile(
-    tile: int, canvas: Canvas, bins: Bins, records: wp.array(dtype=record12), image: wp.array(dtype=float)
-):
+def draw_tile(tile: int, canvas: Canvas, bins: Bins, records: wp.array(dtype=record12), image: wp.array(dtype=float)):
     """Draw one tile of the image."""
 
 

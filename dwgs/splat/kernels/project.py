@@ -75,18 +75,9 @@ def rotation_from_quat_adjoint(q: wp.vec4, v: wp.mat33) -> wp.vec4:
     w, x, y, z = q[0], q[1], q[2], q[3]
     return 2.0 * wp.vec4(
         x * (v[2, 1] - v[1, 2]) + y * (v[0, 2] - v[2, 0]) + z * (v[1, 0] - v[0, 1]),
-        w * (v[2, 1] - v[1, 2])
-        + y * (v[0, 1] + v[1, 0])
-        + z * (v[0, 2] + v[2, 0])
-        - 2.0 * x * (v[1, 1] + v[2, 2]),
-        w * (v[0, 2] - v[2, 0])
-        + x * (v[0, 1] + v[1, 0])
-        + z * (v[1, 2] + v[2, 1])
-        - 2.0 * y * (v[0, 0] + v[2, 2]),
-        w * (v[1, 0] - v[0, 1])
-        + x * (v[0, 2] + v[2, 0])
-        + y * (v[1, 2] + v[2, 1])
-        - 2.0 * z * (v[0, 0] + v[1, 1]),
+        w * (v[2, 1] - v[1, 2]) + y * (v[0, 1] + v[1, 0]) + z * (v[0, 2] + v[2, 0]) - 2.0 * x * (v[1, 1] + v[2, 2]),
+        w * (v[0, 2] - v[2, 0]) + x * (v[0, 1] + v[1, 0]) + z * (v[1, 2] + v[2, 1]) - 2.0 * y * (v[0, 0] + v[2, 2]),
+        w * (v[1, 0] - v[0, 1]) + x * (v[0, 2] + v[2, 0]) + y * (v[1, 2] + v[2, 1]) - 2.0 * z * (v[0, 0] + v[1, 1]),
     )
 
 
@@ -160,9 +151,7 @@ def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record
             for k in range(count):
                 color += basis[k] * cloud.sh[i, k]
             conic = wp.vec3(covariance[2], -covariance[1], covariance[0]) / determinant_of(m)
-            total = (
-                x + y + extent_x + extent_y + conic[0] + conic[1] + conic[2] + color[0] + color[1] + color[2]
-            )
+            total = x + y + extent_x + extent_y + conic[0] + conic[1] + conic[2] + color[0] + color[1] + color[2]
             if wp.isfinite(total):
                 record = record12(
                     x, y, conic[0], conic[1], conic[2], opacity,
@@ -255,9 +244,7 @@ def project_adjoint(
                 v_u -= fx * rz * v_J[0, 2]
             if wp.abs(w) < MAX_TANGENT:
                 v_w -= fy * rz * v_J[1, 2]
-            v_rz = fx * (v_J[0, 0] - clamp_tangent(u) * v_J[0, 2]) + fy * (
-                v_J[1, 1] - clamp_tangent(w) * v_J[1, 2]
-            )
+            v_rz = fx * (v_J[0, 0] - clamp_tangent(u) * v_J[0, 2]) + fy * (v_J[1, 1] - clamp_tangent(w) * v_J[1, 2])
             v_z = v[9] - rz * (v_u * u + v_w * w + rz * v_rz)
             v_p = wp.vec3(v_u * rz, v_w * rz, v_z)
             v_t += v_p

@@ -51,9 +51,7 @@ def sh_basis_adjoint(d: wp.vec3, v: vec16, count: int) -> wp.vec3:
         v_d += C1 * wp.vec3(-v[3], -v[1], v[2])
     if count > 4:
         v_d += C20 * (v[4] * wp.vec3(y, x, 0.0) - v[5] * wp.vec3(0.0, z, y) - v[7] * wp.vec3(z, 0.0, x))
-        v_d += C21 * v[6] * wp.vec3(-2.0 * x, -2.0 * y, 4.0 * z) + C22 * v[8] * wp.vec3(
-            2.0 * x, -2.0 * y, 0.0
-        )
+        v_d += C21 * v[6] * wp.vec3(-2.0 * x, -2.0 * y, 4.0 * z) + C22 * v[8] * wp.vec3(2.0 * x, -2.0 * y, 0.0)
     if count > 9:
         s = 4.0 * z * z - x * x - y * y
         v_d -= C30 * v[9] * wp.vec3(6.0 * x * y, 3.0 * (x * x - y * y), 0.0)

@@ -23,13 +23,9 @@ def recording(scene: Scene, wall: float | None = None) -> tuple[Scene, Track]:
     for i in range(1, 3):
         end = 0.1 * i - 0.05
         times = end - 0.04 * rng.random(len(rear))
-        points = np.stack(
-            [transform_points(trajectory.at(t), p[None])[0] for t, p in zip(times, rear, strict=True)]
-        )
+        points = np.stack([transform_points(trajectory.at(t), p[None])[0] for t, p in zip(times, rear, strict=True)])
         if wall is not None:
-            obstacle = np.stack(
-                [np.full(40_000, wall), rng.uniform(-1, 1, 40_000), rng.uniform(0, 3, 40_000)], 1
-            )
+            obstacle = np.stack([np.full(40_000, wall), rng.uniform(-1, 1, 40_000), rng.uniform(0, 3, 40_000)], 1)
             points, times = np.concatenate([points, obstacle]), np.concatenate([times, np.full(40_000, end)])
         sweeps.append(LidarSweep(points.astype(np.float32), times, np.array([0, 0, 2.0]), end, 10 + i))
 
@@ -65,9 +61,7 @@ def test_the_lowest_band_is_left_out_and_one_point_is_kept_per_voxel(scene: Scen
 
 def test_a_window_uses_fewer_sweeps(scene: Scene):
     recorded, track = recording(scene)
-    assert len(points_of_track(recorded, track, 0)[0].points) < len(
-        points_of_track(recorded, track)[0].points
-    )
+    assert len(points_of_track(recorded, track, 0)[0].points) < len(points_of_track(recorded, track)[0].points)
 
 
 def test_what_something_nearer_hides_from_the_camera_is_not_coloured(scene: Scene):

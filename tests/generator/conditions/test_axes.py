@@ -25,9 +25,7 @@ def test_what_the_format_states_is_believed_without_an_assumption():
 
 
 def test_a_stated_forward_that_makes_no_vehicle_is_replaced_and_said():
-    found, assumed = convention_of(
-        surface_of(Convention("m", "y", "-x"), Convention("m", "y", "z")), "car", None, None
-    )
+    found, assumed = convention_of(surface_of(Convention("m", "y", "-x"), Convention("m", "y", "z")), "car", None, None)
     assert found == Convention("m", "y", "-x")
     assert assumed == "forward assumed from its size and shape"
 

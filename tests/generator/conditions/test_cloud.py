@@ -30,9 +30,7 @@ def test_written_points_read_back_bit_by_bit(tmp_path: Path, with_normals: bool)
 
 
 def test_text_big_endian_and_unknown_properties_are_read(tmp_path: Path):
-    properties = (
-        VERTEX + "property uchar red\nproperty uchar green\nproperty uchar blue\nproperty int extra\n"
-    )
+    properties = VERTEX + "property uchar red\nproperty uchar green\nproperty uchar blue\nproperty int extra\n"
     text = ascii_ply(tmp_path / "t.ply", properties, "1 2 3 10 20 30 7\n4 5 6 40 50 60 8\n", 2)
     header = f"ply\nformat binary_big_endian 1.0\nelement vertex 2\n{properties}end_header\n"
     kinds = [("x", ">f4"), ("y", ">f4"), ("z", ">f4"), ("r", "u1"), ("g", "u1"), ("b", "u1"), ("e", ">i4")]

@@ -60,9 +60,7 @@ def test_an_insertion_reads_back_exactly(tmp_path: Path, insertion: Insertion):
     found = read_insertion(tmp_path / "i")
     np.testing.assert_array_equal(found.vehicle.points, insertion.vehicle.points)
     np.testing.assert_array_equal(found.vehicle.normals, insertion.vehicle.normals)
-    np.testing.assert_array_equal(
-        found.trajectory.world_from_vehicle, insertion.trajectory.world_from_vehicle
-    )
+    np.testing.assert_array_equal(found.trajectory.world_from_vehicle, insertion.trajectory.world_from_vehicle)
     np.testing.assert_array_equal(found.size, insertion.size)
     assert found.vehicle.is_complete
 
@@ -75,9 +73,7 @@ def test_a_trajectory_shorter_than_the_clip_is_refused(scene: Scene, insertion: 
 @pytest.mark.parametrize(
     ("x", "y", "says"), [(-9.0, 0.0, "behind the camera in every"), (9.0, 60.0, "outside the image in every")]
 )
-def test_a_vehicle_that_no_frame_sees_is_refused(
-    scene: Scene, insertion: Insertion, x: float, y: float, says: str
-):
+def test_a_vehicle_that_no_frame_sees_is_refused(scene: Scene, insertion: Insertion, x: float, y: float, says: str):
     with pytest.raises(InputError, match=says):
         make_conditions(scene, replace(insertion, trajectory=drive(x, y)))
 
@@ -105,9 +101,7 @@ def test_a_damaged_folder_is_refused(tmp_path: Path, scene: Scene, insertion: In
         read(tmp_path / "c", scene)
 
 
-def test_a_camera_that_is_no_folder_is_refused_and_nothing_is_left(
-    tmp_path: Path, scene: Scene, insertion: Insertion
-):
+def test_a_camera_that_is_no_folder_is_refused_and_nothing_is_left(tmp_path: Path, scene: Scene, insertion: Insertion):
     odd = replace(scene, frames={"../front": scene.frames["front"]})
     with pytest.raises(InputError, match="camera's name"):
         write(make_conditions(odd, insertion), tmp_path / "c")

@@ -8,10 +8,7 @@ from generator.conditions.raster import GREY, PointRasterizer
 
 K = np.array([[300, 0, 180], [0, 300, 120], [0, 0, 1]], float)
 CAMERA = Camera(K, 360, 240, pose(LOOK_ALONG_X, [0, 0, 1.5]), 0.0)
-POSES = [
-    pose(yaw_rotation(yaw), [x, y, SIZE[2] / 2])
-    for yaw, x, y in [(0, 8, 0), (1, 6, 3), (3, 2, -2), (0.3, 1, 2)]
-]
+POSES = [pose(yaw_rotation(yaw), [x, y, SIZE[2] / 2]) for yaw, x, y in [(0, 8, 0), (1, 6, 3), (3, 2, -2), (0.3, 1, 2)]]
 
 
 def test_the_region_holds_every_point_that_is_drawn():

@@ -110,9 +110,7 @@ def test_a_material_of_an_obj_is_used_and_a_missing_texture_is_said(tmp_path: Pa
 
 def test_a_mesh_that_no_unit_makes_a_vehicle_is_refused(tmp_path: Path):
     trimesh.creation.icosphere(radius=3).export(tmp_path / "ball.ply")
-    with pytest.raises(
-        InputError, match=r"ball.ply measures \S+ x \S+ x \S+ \(x, y, z\) .* set --unit and --forward"
-    ):
+    with pytest.raises(InputError, match=r"ball.ply measures \S+ x \S+ x \S+ \(x, y, z\) .* set --unit and --forward"):
         load_vehicle(tmp_path / "ball.ply")
 
 

@@ -9,9 +9,7 @@ from generator.conditions import mesh as mesh_module
 from generator.conditions.points import load_vehicle
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data"
-pytestmark = pytest.mark.skipif(
-    not DATA.exists(), reason=f"REAL DATA MISSING: no {DATA}, real vehicles are untested"
-)
+pytestmark = pytest.mark.skipif(not DATA.exists(), reason=f"REAL DATA MISSING: no {DATA}, real vehicles are untested")
 
 
 @pytest.fixture(autouse=True)
