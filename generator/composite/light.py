@@ -71,7 +71,9 @@ class Lighting:
         flat = np.maximum(toward[:, 2], 0) * np.float32(4 / len(toward))
         radiance *= environment.ground / np.maximum(flat @ radiance, 1e-6)
         height = transfer.surface.points[:, 2:] + np.float32(transfer.size[2] / 2)
-        total = transfer.discs[:, :up] @ radiance[:up] + _bounce(height) * (transfer.discs[:, up:] @ radiance[up:])
+        total = transfer.discs[:, :up] @ radiance[:up] + _bounce(height) * (
+            transfer.discs[:, up:] @ radiance[up:]
+        )
         if environment.sun_direction is not None:
             direction = rotation.T @ environment.sun_direction
             cosine = np.maximum(transfer.surface.normals @ direction, 0) * transfer.sees(direction)
@@ -83,7 +85,10 @@ class Lighting:
         toward = transfer.ground_directions
         radiance = environment.radiance(toward @ rotation.T) * toward[:, 2:]
         radiance *= environment.ground / radiance.sum(0)
-        taken = [soften(layer, 0.06) for layer in np.moveaxis(np.tensordot(transfer.ground, radiance, (0, 0)), -1, 0)]
+        taken = [
+            soften(layer, 0.06)
+            for layer in np.moveaxis(np.tensordot(transfer.ground, radiance, (0, 0)), -1, 0)
+        ]
         whole = environment.ground
         if environment.sun_direction is not None:
             direct = environment.sun * environment.sun_direction[2]

@@ -67,8 +67,12 @@ class Recording:
         found = [Returns(np.zeros((0, 3), np.float32), np.zeros(0, np.int64))]
         found += [_in_view(self._sorted[i].still, project, camera) for i in near]
         for number in sorted({number for i in near for number in self._sorted[i].moving}):
-            points = np.concatenate([self._sorted[i].moving[number] for i in near if number in self._sorted[i].moving])
-            world = transform_points(self.tracks[number].trajectory.at(camera.time), points).astype(np.float32)
+            points = np.concatenate(
+                [self._sorted[i].moving[number] for i in near if number in self._sorted[i].moving]
+            )
+            world = transform_points(self.tracks[number].trajectory.at(camera.time), points).astype(
+                np.float32
+            )
             found.append(_in_view(Returns(world, np.full(len(world), number)), project, camera))
         return Returns(np.concatenate([r.points for r in found]), np.concatenate([r.track for r in found]))
 

@@ -110,7 +110,9 @@ def _fair(width: NDArray, zs: NDArray) -> NDArray[np.float64]:
     top = np.where(occupied, zs[width.shape[1] - 1 - (width > 0)[:, ::-1].argmax(1)], zs[0] - VOXEL)
     top = gaussian_filter1d(median_filter(top, 9, mode="nearest"), 2.0, mode="nearest")
     highest = np.where(width > 0, zs, -np.inf).argmax(1)
-    held = np.where(np.arange(len(zs)) > highest[:, None], width[np.arange(len(width)), highest][:, None], width)
+    held = np.where(
+        np.arange(len(zs)) > highest[:, None], width[np.arange(len(width)), highest][:, None], width
+    )
     median = median_filter(held, (round(MIRROR_WIDTH / VOXEL) | 1, 1), mode="nearest")
     held = np.where(median > 0, np.minimum(held, median), held)
     present = (held > 0) & (zs <= top[:, None] + VOXEL / 2) & occupied[:, None]
@@ -136,7 +138,9 @@ def fill_ends(width: NDArray, half: NDArray, xs: NDArray, size: NDArray) -> NDAr
         beyond = np.flatnonzero(sign * (xs - xs[last]) >= 0)
         s = np.abs(xs[beyond] - xs[last]) / reach
         rounded = np.where(s < 0.97, np.sqrt(np.clip(1 - 0.35 * s**3, 0, 1)), 0)
-        width[beyond] = np.where(s[:, None] < 0.97, np.maximum(width[beyond], width[last] * rounded[:, None]), 0)
+        width[beyond] = np.where(
+            s[:, None] < 0.97, np.maximum(width[beyond], width[last] * rounded[:, None]), 0
+        )
     return width
 
 
@@ -167,7 +171,9 @@ def undercarriage(
     near_wheel = np.min([np.abs(xs - w.x) for w in wheels], axis=0) < 1.35 * radius
     trusted = ~near_wheel & np.isfinite(lowest)
     bottom = np.interp(xs, xs[trusted], lowest[trusted]) if trusted.any() else np.full(len(xs), clearance)
-    bottom = gaussian_filter1d(median_filter(np.clip(bottom, clearance, ground + 0.45), 15, mode="nearest"), 4)
+    bottom = gaussian_filter1d(
+        median_filter(np.clip(bottom, clearance, ground + 0.45), 15, mode="nearest"), 4
+    )
     return bottom, tuple(wheels)
 
 

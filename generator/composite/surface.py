@@ -71,7 +71,9 @@ def _of_mesh(vehicle: VehiclePoints, size: NDArray) -> Surface:
     points, normals = vehicle.points[kept], vehicle.normals[kept]
     colors = np.float32(WHITE) * linear_from_srgb(vehicle.colors[kept] / np.float32(255))
     is_rubber = (points[:, 2] < -0.2 * size[2]) & (colors.max(1) < RUBBER)
-    return Surface(points, normals, _radii(points), colors, np.float32(1) - is_rubber, np.zeros(len(kept), np.float32))
+    return Surface(
+        points, normals, _radii(points), colors, np.float32(1) - is_rubber, np.zeros(len(kept), np.float32)
+    )
 
 
 def _evenly(points: NDArray, cell: float) -> NDArray[np.int64]:
@@ -83,5 +85,7 @@ def _evenly(points: NDArray, cell: float) -> NDArray[np.int64]:
 
 def _radii(points: NDArray) -> NDArray[np.float32]:
     """Half the distance to the sixth neighbour [N], where a hexagon would have its ring; strays stay small."""
-    distance = cKDTree(points).query(points, min(7, len(points)), workers=2)[0].reshape(len(points), -1)[:, -1]
+    distance = (
+        cKDTree(points).query(points, min(7, len(points)), workers=2)[0].reshape(len(points), -1)[:, -1]
+    )
     return np.clip(0.5 * distance, 0.002, 3 * np.median(distance)).astype(np.float32)
