@@ -132,6 +132,7 @@ def author_insertion(
     clip: Clip, scene: Scene, choice: VehicleChoice, placement: Placement
 ) -> tuple[Insertion, list[str]]:
     """What the user wants inserted, and what was assumed on the way: one line each."""
+    from generator.conditions import require_visible
     from generator.conditions.points import load_vehicle, points_of_track
 
     has_own_way = clip.is_street and choice.vehicle == STREET and not placement.is_given
@@ -153,9 +154,9 @@ def author_insertion(
         trajectory = clip.street().insertion().trajectory
     else:
         trajectory = placement.drive(scene, size)
-    trajectory.require([frame.camera.time for frame in scene.all_frames()])
-    notes += conflict_notes(scene, size, trajectory)
-    return Insertion(vehicle, size, trajectory), notes
+    insertion = Insertion(vehicle, size, trajectory)
+    require_visible(scene, insertion)
+    return insertion, notes + conflict_notes(scene, size, trajectory)
 
 
 def conflict_notes(scene: Scene, size: np.ndarray, trajectory: Trajectory) -> list[str]:

@@ -9,8 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dwgs.scene import Frame, InputError, Insertion, Scene
+from dwgs.scene.pose import transform_points
+from dwgs.scene.silhouette import NEAR
 from generator.conditions.masks import SHADOW_MARGIN, inactive_image, reactive_mask
 from generator.conditions.raster import GREY, PointRasterizer
+
+VISIBILITY_POINTS = 2000
+"""So many points of a vehicle tell whether a camera sees it."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +65,8 @@ def make_conditions(
     Raises:
         InputError: The trajectory does not cover the clip, or no frame sees the vehicle.
     """
+    require_visible(scene, insertion)
     frames = scene.all_frames()
-    insertion.trajectory.require(sorted({frame.camera.time for frame in frames}))
     rasterizer = PointRasterizer(insertion.vehicle)
 
     def draw(frame: Frame) -> _Drawing:
@@ -76,12 +81,32 @@ def make_conditions(
             drawings.append(drawing)
             if on_progress:
                 on_progress(len(drawings), len(frames))
-    if not any(drawing.point_mask.any() for drawing in drawings):
-        raise InputError(_why_unseen(scene, insertion))
 
     drawn = iter(drawings)
     conditions = {name: tuple(_frame(f, next(drawn)) for f in fs) for name, fs in scene.frames.items()}
     return Conditions(scene, insertion, conditions)
+
+
+def require_visible(scene: Scene, insertion: Insertion) -> None:
+    """Raise `InputError` unless the trajectory covers the clip and some frame has a point of the vehicle in it."""
+    frames = scene.all_frames()
+    insertion.trajectory.require(sorted({frame.camera.time for frame in frames}))
+    points = insertion.vehicle.points[:: 1 + len(insertion.vehicle.points) // VISIBILITY_POINTS]
+    farthest, index = -np.inf, frames[0].index
+    for frame in frames:
+        camera = frame.camera
+        pixels, depths = camera.project(transform_points(insertion.trajectory.at(camera.time), points))
+        inside = (depths > NEAR) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+        if inside.any():
+            return
+        if (depth := float(depths.mean())) > farthest:
+            farthest, index = depth, frame.index
+    where = "behind the camera" if farthest < 0 else "outside the image"
+    name = f"{len(scene.frames)} cameras" if len(scene.frames) > 1 else scene.main_camera
+    raise InputError(
+        f"the vehicle is {where} in every frame of {name} ({farthest:.1f} m ahead in frame {index}); "
+        "move its trajectory into view, or choose other frames or cameras"
+    )
 
 
 @dataclass(frozen=True)
@@ -116,17 +141,4 @@ def _frame(frame: Frame, drawing: _Drawing) -> ConditionFrame:
         partial(drawing.whole, drawing.point_image, GREY),
         partial(drawing.whole, drawing.point_mask, False),
         partial(drawing.whole, drawing.reactive_mask, False),
-    )
-
-
-def _why_unseen(scene: Scene, insertion: Insertion) -> str:
-    frames = scene.all_frames()
-    positions = insertion.trajectory.at([frame.camera.time for frame in frames])[:, :3, 3]
-    depths = np.array([f.camera.project(p[None])[1][0] for f, p in zip(frames, positions, strict=True)])
-    where = "behind the camera" if (depths < 0).all() else "outside the image"
-    nearest = int(np.argmax(depths))
-    name = f"{len(scene.frames)} cameras" if len(scene.frames) > 1 else scene.main_camera
-    return (
-        f"the vehicle is {where} in every frame of {name} ({depths[nearest]:.1f} m ahead in frame "
-        f"{frames[nearest].index}); move its trajectory into view, or choose other frames or cameras"
     )
