@@ -12,7 +12,7 @@ from scipy.stats import qmc
 
 from dwgs.scene import InputError
 from generator.conditions.cloud import MAX_BYTES
-from generator.conditions.paint import Spots, paint
+from generator.conditions.paint import CABIN, Spots, paint
 from generator.conditions.surface import Convention, Surface
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
@@ -21,6 +21,7 @@ SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".off")
 SAMPLES = 1 << 19
 """Points drawn on a mesh; a power of two, as the Sobol sequence likes it."""
 
+_GLASS = re.compile(r"(?i)glass|window|windshield|windscreen")  # parts of that name are seen through
 _CREASE = 0.75  # cosine between face and vertex normal: a sharper edge is an edge
 _MAX_FACES = 20_000_000
 
@@ -38,17 +39,17 @@ def sample_mesh(path: Path, seed: int = 0) -> Surface:
     try:
         scene = trimesh.load_scene(path, process=False)
         parts = [
-            (scene.geometry[geometry], np.asarray(transform, np.float64))
+            (geometry, scene.geometry[geometry], np.asarray(transform, np.float64))
             for transform, geometry in (scene.graph[node] for node in scene.graph.nodes_geometry)
             if isinstance(scene.geometry[geometry], trimesh.Trimesh)
         ]
     except Exception as error:  # a parser given a stranger's file may raise anything
         raise InputError(f"{path.name} cannot be read as a {path.suffix[1:]} mesh: {error}") from None
-    faces = sum(len(mesh.faces) for mesh, _ in parts)
+    faces = sum(len(mesh.faces) for _, mesh, _ in parts)
     if not 0 < faces <= _MAX_FACES:
         raise InputError(f"a vehicle's mesh has 1 to {_MAX_FACES} faces, {path.name} has {faces}")
 
-    corners = [_corners(mesh, transform) for mesh, transform in parts]
+    corners = [_corners(mesh, transform) for _, mesh, transform in parts]
     triangles = np.concatenate(corners)
     if not np.isfinite(triangles).all():
         raise InputError(f"vertices are finite, some of {path.name} are not; repair the mesh")
@@ -67,10 +68,12 @@ def sample_mesh(path: Path, seed: int = 0) -> Surface:
     colors, normals = np.empty((SAMPLES, 3), np.uint8), np.empty((SAMPLES, 3))
     whole = np.empty(SAMPLES, bool)
     first = 0
-    for (mesh, transform), own in zip(parts, corners, strict=True):
+    for (part, mesh, transform), own in zip(parts, corners, strict=True):
         here = (chosen >= first) & (chosen < first + len(own))
         spots = Spots(chosen[here] - first, weights[here])
         colors[here], whole[here] = paint(mesh, spots, path.name)
+        if _GLASS.search(part):
+            colors[here] = np.minimum(colors[here], CABIN)
         normals[here] = _normals(mesh, transform, own, spots)
         first += len(own)
     if not whole.any():

@@ -12,7 +12,7 @@ from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from dwgs.scene import InputError
 
-CABIN = np.array([20, 22, 24]) / 255
+CABIN = np.array([20, 22, 24], np.uint8)
 """sRGB of what is seen through a window. Glass is drawn as if painted with it: interiors are not modelled."""
 
 GREY = 127
@@ -112,7 +112,7 @@ def _texture(image: Image.Image, uv: NDArray, name: str) -> NDArray[np.float64]:
 
 
 def _before_cabin(rgb: NDArray, alpha: NDArray) -> NDArray[np.float64]:
-    return alpha[:, None] * rgb + (1 - alpha[:, None]) * CABIN
+    return alpha[:, None] * rgb + (1 - alpha[:, None]) * (CABIN / 255)
 
 
 def _linear(srgb: NDArray) -> NDArray[np.float64]:
