@@ -78,7 +78,8 @@ class Studio:
             window = np.s_[top:bottom, left:right]
             camera = frame.camera.crop(left, top, right - left, bottom - top)
             # the image's own border is no border of the mask
-            inside = distance_transform_edt(np.pad(mask, 1, mode="edge"))[1:-1, 1:-1][window]
+            around = np.pad(mask, 1, mode="edge")[top : bottom + 2, left : right + 2]
+            inside = np.asarray(distance_transform_edt(around))[1:-1, 1:-1]
             image = self._picture(
                 frame, camera, pixels[window], np.clip(inside / (BORDER * frame.camera.height), 0, 1), seed
             )
@@ -112,7 +113,7 @@ class Studio:
         return np.rint(255 * np.clip(mixed, 0, 1)).astype(np.uint8)
 
     def _ground(self, camera: Camera, pose: NDArray) -> tuple[NDArray, NDArray]:
-        """Light left [h, w, 3] at each pixel of the ground the vehicle stands on, and that ground's depth [h, w] [m]."""
+        """Light left [h, w, 3] where pixels see the ground the vehicle stands on, and its depth [h, w] [m]."""
         vehicle_from_world = inverse(pose)
         eye = transform_points(vehicle_from_world, camera.position[None])[0]
         rays = pixel_rays(camera) @ vehicle_from_world[:3, :3].T

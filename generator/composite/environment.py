@@ -1,10 +1,10 @@
-"""The light of a recorded drive: what surrounds the road, how bright it makes the ground, where the sun stands."""
+"""The light of a recorded drive: what surrounds the road, how bright that makes the ground, the sun."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 from dwgs.scene import Frame, LidarSweep, Scene
 from generator.composite.color import linear_from_srgb, luminance
@@ -29,7 +29,7 @@ class Environment:
     """Light in the units of the recorded pixels: linear, exposure and white balance included."""
 
     panorama: NDArray[np.float32]
-    """[ROWS, COLUMNS, 3] radiance without the sun; row 0 up, azimuth atan2(y, x) grows with the column from -pi."""
+    """[ROWS, COLUMNS, 3] radiance without the sun, laid out as `Background.sky`."""
     ground: NDArray[np.float32]
     """[3] what a white, flat, unshaded ground would look like under sky alone."""
     sun_direction: NDArray[np.float32] | None
@@ -47,7 +47,8 @@ class Environment:
         wrapped = np.pad(self.panorama, ((1, 1), (0, 0), (0, 0)), mode="edge")
         wrapped = np.pad(wrapped, ((0, 0), (1, 1), (0, 0)), mode="wrap")
         at = np.stack([row + 1, column + 1])
-        return np.stack([map_coordinates(wrapped[..., c], at, order=1, mode="nearest") for c in range(3)], -1)
+        colors = [map_coordinates(wrapped[..., c], at, order=1, mode="nearest") for c in range(3)]
+        return np.stack(colors, -1).astype(np.float32)
 
 
 def look_around(scene: Scene) -> Environment:
@@ -107,7 +108,7 @@ def _road_pixels(frame: Frame, pixels: NDArray, sweep: LidarSweep, scene: Scene)
 
 
 def _complete(total: NDArray, count: NDArray, road: NDArray) -> NDArray[np.float32]:
-    """The panorama with what no frame showed: azimuths by the mean of their row, the zenith by the highest row seen."""
+    """The panorama with what no frame showed: azimuths as the mean of their row, the zenith as the top row."""
     seen = count > 0
     mean = total / np.maximum(count, 1)[..., None]
     rows = seen.sum(1)
@@ -122,4 +123,5 @@ def _complete(total: NDArray, count: NDArray, road: NDArray) -> NDArray[np.float
     panorama = np.where(seen[..., None], mean, row_mean[:, None])
     panorama[:top] = fade * zenith + (1 - fade) * np.where(seen[top][:, None], mean[top], zenith)
     panorama[elevation < -0.03] = road
-    return gaussian_filter(panorama, (0.8, 1.2, 0), mode=("nearest", "wrap", "nearest")).astype(np.float32)
+    smooth = gaussian_filter1d(gaussian_filter1d(panorama, 0.8, axis=0, mode="nearest"), 1.2, axis=1, mode="wrap")
+    return np.asarray(smooth, np.float32)

@@ -1,4 +1,4 @@
-"""A vehicle and its ground in the light of a street: diffuse light, the reflections of a clear coat, the shadow."""
+"""A vehicle and its ground in the light of a street: diffuse light, reflections of a clear coat, shadow."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,10 @@ class Lighting:
         self._ground: tuple[float, NDArray[np.float32]] = (np.nan, np.empty(0, np.float32))
 
     def shade(self, pose: NDArray, eye: NDArray, seen: NDArray) -> NDArray[np.float32]:
-        """Linear colours [S, 3] of the discs ``seen`` [S] at ``world_from_vehicle`` [4, 4], from ``eye`` [3] (world).
+        """Linear colours [S, 3] of the discs ``seen`` [S] at a pose [4, 4], from ``eye`` [3] in the world.
 
-        A colour that a camera saw keeps the light it has; a material's is lit. The clear coat mirrors the panorama.
+        A colour that a camera saw keeps the light it has; a material's is lit. The clear coat mirrors
+        the panorama.
         """
         surface = self.transfer.surface
         lit = surface.lit[seen, None]
@@ -71,24 +72,19 @@ class Lighting:
         flat = np.maximum(toward[:, 2], 0) * np.float32(4 / len(toward))
         radiance *= environment.ground / np.maximum(flat @ radiance, 1e-6)
         height = transfer.surface.points[:, 2:] + np.float32(transfer.size[2] / 2)
-        total = transfer.discs[:, :up] @ radiance[:up] + _bounce(height) * (
-            transfer.discs[:, up:] @ radiance[up:]
-        )
+        total = transfer.discs[:, :up] @ radiance[:up] + _bounce(height) * (transfer.discs[:, up:] @ radiance[up:])
         if environment.sun_direction is not None:
             direction = rotation.T @ environment.sun_direction
             cosine = np.maximum(transfer.surface.normals @ direction, 0) * transfer.sees(direction)
             total += cosine[:, None] * environment.sun
-        return total
+        return total.astype(np.float32)
 
     def _ground_light(self, rotation: NDArray) -> NDArray[np.float32]:
         transfer, environment = self.transfer, self.environment
         toward = transfer.ground_directions
         radiance = environment.radiance(toward @ rotation.T) * toward[:, 2:]
         radiance *= environment.ground / radiance.sum(0)
-        taken = [
-            soften(layer, 0.06)
-            for layer in np.moveaxis(np.tensordot(transfer.ground, radiance, (0, 0)), -1, 0)
-        ]
+        taken = [soften(layer, 0.06) for layer in np.moveaxis(np.tensordot(transfer.ground, radiance, (0, 0)), -1, 0)]
         whole = environment.ground
         if environment.sun_direction is not None:
             direct = environment.sun * environment.sun_direction[2]

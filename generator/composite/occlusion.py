@@ -1,11 +1,11 @@
-"""What the recording holds nearer than something: sparse LiDAR, carried to every pixel along the image's own edges."""
+"""What the recording holds nearer than something: sparse LiDAR, carried to every pixel up to image edges."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_fill_holes, binary_opening, gaussian_filter
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from dwgs.scene import Camera, LidarSweep, Scene, Track
 from dwgs.scene.pose import inverse, transform_points
@@ -59,7 +59,7 @@ class Recording:
     def at(self, camera: Camera, frame_index: int) -> Returns:
         """What a camera has before it when it exposes, world frame; its image may be a small window.
 
-        Sweeps within `WINDOW` frames count; points on moving vehicles are carried from their time to the camera's.
+        Sweeps within `WINDOW` frames count; points on moving vehicles are carried to the camera's time.
         """
         near = [i for i in range(frame_index - WINDOW, frame_index + WINDOW + 1) if i in self._sweeps]
         self._sorted = {i: self._sorted.get(i) or _sort(self.tracks, self._sweeps[i]) for i in near}
@@ -67,12 +67,8 @@ class Recording:
         found = [Returns(np.zeros((0, 3), np.float32), np.zeros(0, np.int64))]
         found += [_in_view(self._sorted[i].still, project, camera) for i in near]
         for number in sorted({number for i in near for number in self._sorted[i].moving}):
-            points = np.concatenate(
-                [self._sorted[i].moving[number] for i in near if number in self._sorted[i].moving]
-            )
-            world = transform_points(self.tracks[number].trajectory.at(camera.time), points).astype(
-                np.float32
-            )
+            points = np.concatenate([self._sorted[i].moving[number] for i in near if number in self._sorted[i].moving])
+            world = transform_points(self.tracks[number].trajectory.at(camera.time), points).astype(np.float32)
             found.append(_in_view(Returns(world, np.full(len(world), number)), project, camera))
         return Returns(np.concatenate([r.points for r in found]), np.concatenate([r.track for r in found]))
 
@@ -139,7 +135,7 @@ def nearer(
     samples = np.concatenate([uv, COLOR_SCALE * image[row, column]], 1)
     pixels = np.concatenate([np.stack([columns, rows], 1) + 0.5, COLOR_SCALE * image[rows, columns]], 1)
     count = min(NEIGHBOURS, len(samples))
-    distance, index = cKDTree(samples).query(pixels, count, distance_upper_bound=FAR, workers=2)
+    distance, index = KDTree(samples).query(pixels, count, distance_upper_bound=FAR, workers=2)
     distance, index = distance.reshape(len(pixels), count), index.reshape(len(pixels), count)
     weight = 1 / (distance + 1)  # none for a neighbour too far to be found
     share = (weight * np.append(votes, False)[index]).sum(1) / np.maximum(weight.sum(1), 1e-9)
@@ -147,6 +143,6 @@ def nearer(
     asked_here = np.isfinite(depth)
     # a speck is a stray return; a hole is a window, which returns what lies behind it
     solid = binary_opening((hidden > 0.5) | ~asked_here, iterations=2, border_value=1)
-    solid = binary_fill_holes(solid & asked_here)
+    solid = np.asarray(binary_fill_holes(solid & asked_here), np.float32)
     weight = np.maximum(gaussian_filter(asked_here.astype(np.float32), EDGE), 1e-3)
-    return asked_here * gaussian_filter(solid.astype(np.float32), EDGE) / weight
+    return (asked_here * gaussian_filter(solid, EDGE) / weight).astype(np.float32)

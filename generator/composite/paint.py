@@ -1,7 +1,7 @@
-"""What a scanned vehicle's solid looks like: colours where points tell, the common look of vehicles where none do.
+"""What a scanned vehicle looks like: colours where points tell, the common look of vehicles elsewhere.
 
-Behind glass a LiDAR hits seats and the far side of the street, and a camera colours them with whatever it mirrors. So
-windows are drawn where vehicles have them, and scan colours count below the belt.
+Behind glass a LiDAR hits seats and the far side of the street, and a camera colours them with whatever it
+mirrors. So windows are drawn where vehicles have them, and scan colours count below the belt.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from dwgs.scene import VehiclePoints
 from generator.composite.color import linear_from_srgb, luminance
@@ -48,9 +48,7 @@ def paint(solid: Solid, vehicle: VehiclePoints, size: NDArray) -> Paint:
     up = points[:, 2] / size[2]
     doors = (evidence > 0.6) & (np.abs(normals[:, 1]) > 0.8) & (np.abs(up) < 0.15)
     body = np.median(colors[doors], axis=0) if doors.any() else np.full(3, 0.2)
-    evidence = np.where(
-        (up > BELT) & (normals[:, 2] < 0.85), 0.3 * evidence, evidence
-    )  # pillars mirror, and are thin
+    evidence = np.where((up > BELT) & (normals[:, 2] < 0.85), 0.3 * evidence, evidence)  # pillars mirror, and are thin
     colors = evidence[:, None] * colors + (1 - evidence[:, None]) * body
     gloss = 0.6 * (1 - evidence)
 
@@ -65,9 +63,7 @@ def paint(solid: Solid, vehicle: VehiclePoints, size: NDArray) -> Paint:
     for wheel in solid.wheels:
         radius = np.hypot(points[:, 0] - wheel.x, points[:, 2] - wheel.z) / wheel.radius
         outer = np.abs(points[:, 1]) > wheel.outside - TYRE_WIDTH - 2 * VOXEL
-        rim, tyre, gap = (
-            outer & (radius >= a) & (radius < b) for a, b in ((0, 0.64), (0.64, 1.05), (1.05, 1.16))
-        )
+        rim, tyre, gap = (outer & (radius >= a) & (radius < b) for a, b in ((0, 0.64), (0.64, 1.05), (1.05, 1.16)))
         tyre &= normals[:, 2] < 0.9
         colors[rim] = np.where(evidence[rim, None] > 0.5, colors[rim], RIM)
         colors[tyre], colors[gap] = TYRE, np.minimum(colors[gap], 3 * np.array(SHADE))
@@ -76,7 +72,7 @@ def paint(solid: Solid, vehicle: VehiclePoints, size: NDArray) -> Paint:
 
 
 def windows(solid: Solid, size: NDArray) -> NDArray[np.bool_]:
-    """Which vertices [V] of a solid are glass: the sides, the front and the rear of what rises above the belt."""
+    """Which vertices [V] of a solid are glass: sides, front and rear of what rises above the belt."""
     x, y, z = solid.vertices.T
     normals, belt = solid.normals, BELT * size[2]
     column = np.round((x - x.min()) / (2 * VOXEL)).astype(int)
@@ -93,42 +89,29 @@ def windows(solid: Solid, size: NDArray) -> NDArray[np.bool_]:
     top = z.max() if len(z) else 0.0
     pillar = np.abs(x - (rear[row] + front[row]) / 2) < FRAME / 2
     framed = (x > rear[row] + 1.6 * FRAME) & (x < front[row] - 1.6 * FRAME) & ~pillar
-    side = (
-        (np.abs(normals[:, 1]) > 0.6)
-        & (z < roof[column] - 1.3 * FRAME)
-        & framed
-        & (roof[column] > belt + 3 * FRAME)
-    )
+    side = (np.abs(normals[:, 1]) > 0.6) & (z < roof[column] - 1.3 * FRAME) & framed & (roof[column] > belt + 3 * FRAME)
     across = (np.abs(normals[:, 0]) > 0.25) & (np.abs(normals[:, 1]) < 0.6)
-    end = (
-        across
-        & (np.abs(y) < half[row] - 1.2 * FRAME)
-        & (z < top - 1.2 * FRAME)
-        & (near[column] > belt + 3 * FRAME)
-    )
+    end = across & (np.abs(y) < half[row] - 1.2 * FRAME) & (z < top - 1.2 * FRAME) & (near[column] > belt + 3 * FRAME)
     return steep & (side | end)
 
 
 def _seen(vehicle: VehiclePoints, points: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Linear colours [V, 3] that a scan and its mirror image give to surface points [V, 3], and how surely [V].
+    """Linear colours [V, 3] that a scan and its mirror image give to points [V, 3], and how surely [V].
 
-    The mirror image lies aside in a fourth dimension, so that each side prefers its own points. Of the neighbours the
-    brighter half counts less: glints and see-through are brighter than paint, seldom darker.
+    The mirror image lies aside in a fourth dimension, so that each side prefers its own points. Neighbours
+    far from the middle brightness count less: they are glints, or what lies behind.
     """
     own = np.pad(np.asarray(vehicle.points, np.float64), ((0, 0), (0, 1)))
     cloud = np.concatenate([own, own * (1, -1, 1, 1) + (0, 0, 0, MIRRORED)])
     light = linear_from_srgb(np.tile(vehicle.colors, (2, 1)) / 255.0)
     count = min(NEIGHBOURS, len(cloud))
-    distance, index = cKDTree(cloud).query(np.pad(points, ((0, 0), (0, 1))), count, workers=2)
+    distance, index = KDTree(cloud).query(np.pad(points, ((0, 0), (0, 1))), count, workers=2)
     distance, index = distance.reshape(len(points), count), index.reshape(len(points), count)
     neighbours = light[index]
     brightness = luminance(neighbours)
     middle = np.median(brightness, axis=1, keepdims=True)
     reach = np.maximum(distance[:, 5:6], 0.02) if count > 5 else REACH  # sharp where the scan is dense
-    weight = (
-        np.exp(-0.5 * (distance / reach) ** 2) / (1 + ((brightness - middle) / (0.5 * middle + 1e-3)) ** 2)
-        + 1e-12
-    )
+    weight = np.exp(-0.5 * (distance / reach) ** 2) / (1 + ((brightness - middle) / (0.5 * middle + 1e-3)) ** 2) + 1e-12
     colors = (weight[..., None] * neighbours).sum(1) / weight.sum(1, keepdims=True)
     evidence = np.clip(2 * np.exp(-0.5 * (np.quantile(distance, 0.25, axis=1) / REACH) ** 2) - 0.25, 0, 1)
     return colors, evidence

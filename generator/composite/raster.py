@@ -12,11 +12,11 @@ from generator.composite.surface import Surface
 SH_C0 = 0.28209479177387814
 """Spherical harmonic of degree 0."""
 SPREAD, THICKNESS = 1.0, 0.2
-"""Standard deviations of a disc across and along its normal, in radii: closed between neighbours, thin at the rim."""
+"""Standard deviations of a disc across and along its normal, in radii: closed, and thin at the rim."""
 OPACITY = 0.9
-"""Of one disc: several overlap at every point and share its colour, or their order would fray every edge of paint."""
+"""Of one disc: the next ones shine through a little, or their order would fray every edge of paint."""
 SUPERSAMPLING = 2
-"""Pixels across one pixel of the result: the splatter's low-pass would soften edges that the recording keeps sharp."""
+"""Pixels drawn across one pixel of the result: the splatter's low-pass alone would soften its edges."""
 SOLID = 0.7
 """Discs that overlap reach about this opacity between them; it counts as opaque."""
 
@@ -30,7 +30,7 @@ def facing(surface: Surface, camera: Camera, pose: NDArray) -> NDArray[np.int64]
 def draw(
     surface: Surface, seen: NDArray, colors: NDArray, camera: Camera, pose: NDArray
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Colour [H, W, 3], depth [H, W] [m] and coverage [H, W] in [0, 1] of a surface at ``world_from_vehicle`` [4, 4].
+    """Colour [H, W, 3], depth [H, W] [m] and coverage [H, W] in [0, 1] of a surface at a pose [4, 4].
 
     Args:
         surface: The discs.
@@ -44,7 +44,7 @@ def draw(
     quats = np.stack([1 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(len(normals))], 1)
     quats[normals[:, 2] < -0.9999] = (0, 1, 0, 0)
     fields = (
-        surface.points[seen], quats, radii * np.float32([SPREAD, SPREAD, THICKNESS]),
+        surface.points[seen], quats, radii * np.array([SPREAD, SPREAD, THICKNESS], np.float32),
         np.full(len(normals), OPACITY), ((colors - 0.5) / SH_C0)[:, None],
     )  # fmt: skip
     splats = Splats(*(torch.from_numpy(np.ascontiguousarray(f, np.float32)) for f in fields))
@@ -55,14 +55,12 @@ def draw(
     gain = np.clip(alpha / SOLID, 0, 1) / np.maximum(alpha, 1e-6)
     coverage = _mean(alpha * gain)
     share = np.maximum(coverage, 1e-6)
-    return (
-        _mean(image.rgb.numpy() * gain[..., None]) / share[..., None],
-        _mean(image.depth.numpy() * gain) / share,
-        coverage,
-    )
+    colors = _mean(image.rgb.numpy() * gain[..., None]) / share[..., None]
+    depth = _mean(image.depth.numpy() * gain) / share
+    return colors.astype(np.float32), depth.astype(np.float32), coverage
 
 
 def _mean(image: NDArray) -> NDArray[np.float32]:
     """The image [H, W, ...] of squares of `SUPERSAMPLING` x `SUPERSAMPLING` pixels."""
     height, width = (n // SUPERSAMPLING for n in image.shape[:2])
-    return image.reshape(height, SUPERSAMPLING, width, SUPERSAMPLING, *image.shape[2:]).mean((1, 3))
+    return image.reshape(height, SUPERSAMPLING, width, SUPERSAMPLING, *image.shape[2:]).mean((1, 3)).astype(np.float32)

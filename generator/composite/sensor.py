@@ -18,10 +18,11 @@ class Sensor:
     """Standard deviation of sRGB values in flat, unsaturated areas, in [0, 1]."""
 
     def expose(self, image: NDArray, seed: tuple[int, ...]) -> NDArray[np.float32]:
-        """An sRGB image [H, W, 3] with this camera's noise: mostly brightness, a little smooth as after demosaicing."""
+        """An sRGB image [H, W, 3] with this camera's noise: brightness alone, a little smooth."""
         rng = np.random.default_rng(seed)
         grain = gaussian_filter(rng.standard_normal(image.shape[:2]).astype(np.float32), 0.5)
-        return image + np.float32(self.noise / max(float(grain.std()), 1e-6)) * grain[..., None]
+        grain *= self.noise / max(float(grain.std()), 1e-6)
+        return (image + grain[..., None]).astype(np.float32)
 
 
 def measure(images: list[NDArray[np.uint8]]) -> Sensor:

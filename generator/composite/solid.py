@@ -1,8 +1,9 @@
 """A closed solid from what a scanner saw of a vehicle.
 
-A LiDAR sees one side, looks through the glass and stops short of the ground. What it misses follows from what vehicles have
-in common: they are symmetric, a cross-section is convex above the sills (the glass is the straight line from belt to roof
-rail), they fill their box, and they stand on four wheels. So the solid is a half width over the side view, and four tyres.
+A LiDAR sees one side, looks through the glass and stops short of the ground. What it misses follows from what
+vehicles have in common: they are symmetric, a cross-section is convex above the sills (the glass is the straight
+line from belt to roof rail), they fill their box, and they stand on four wheels. So the solid is a half width over
+the side view, and four tyres.
 """
 
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import numpy as np
 import pyvista
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, median_filter
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 VOXEL = 0.03
 """Grid step of the solid [m]: about what aggregated sweeps resolve."""
@@ -69,7 +70,7 @@ def symmetric_half(points: NDArray, size: NDArray) -> NDArray[np.float64]:
     Coverage counts cells, not points: one near sweep puts thousands of points on one fender.
     """
     points = np.asarray(points, np.float64)
-    company = cKDTree(points).query_ball_point(points, ISOLATION_RADIUS, return_length=True) > ISOLATION_COUNT
+    company = KDTree(points).query_ball_point(points, ISOLATION_RADIUS, return_length=True) > ISOLATION_COUNT
     points = points[company & (np.abs(points) <= np.asarray(size) / 2 + VOXEL).all(1)]
     cells = np.unique(np.round(points / (2 * VOXEL)).astype(np.int64), axis=0)
     side = 1 if (cells[:, 1] > 0).sum() >= (cells[:, 1] < 0).sum() else -1
@@ -77,10 +78,10 @@ def symmetric_half(points: NDArray, size: NDArray) -> NDArray[np.float64]:
 
 
 def half_width(half: NDArray, size: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Half width [X, Z] [m] over the side view and its cell centres along x and z; 0 where the vehicle is not.
+    """Half width [X, Z] [m] over the side view, and its cell centres along x and z; 0 outside.
 
-    Each cross-section is the least concave majorant of its points: glass that returned nothing is bridged, seats behind
-    it fall inside. A median along x takes the mirrors off; what really juts out comes back cell by cell.
+    Each cross-section is the least concave majorant of its points: glass that returned nothing is bridged,
+    seats behind it fall inside. A median along x takes the mirrors off; what juts out comes back cell by cell.
     """
     length, _, height = size
     xs = np.arange(-length / 2 - 4 * VOXEL, length / 2 + 4 * VOXEL, VOXEL)
@@ -106,13 +107,11 @@ def half_width(half: NDArray, size: NDArray) -> tuple[NDArray, NDArray, NDArray]
 
 def _fair(width: NDArray, zs: NDArray) -> NDArray[np.float64]:
     """Width [X, Z] without mirrors and ripples; the outline of the side view is smoothed as well."""
-    occupied = (width > 0).any(1)
+    occupied = np.any(width > 0, axis=1)
     top = np.where(occupied, zs[width.shape[1] - 1 - (width > 0)[:, ::-1].argmax(1)], zs[0] - VOXEL)
     top = gaussian_filter1d(median_filter(top, 9, mode="nearest"), 2.0, mode="nearest")
     highest = np.where(width > 0, zs, -np.inf).argmax(1)
-    held = np.where(
-        np.arange(len(zs)) > highest[:, None], width[np.arange(len(width)), highest][:, None], width
-    )
+    held = np.where(np.arange(len(zs)) > highest[:, None], width[np.arange(len(width)), highest][:, None], width)
     median = median_filter(held, (round(MIRROR_WIDTH / VOXEL) | 1, 1), mode="nearest")
     held = np.where(median > 0, np.minimum(held, median), held)
     present = (held > 0) & (zs <= top[:, None] + VOXEL / 2) & occupied[:, None]
@@ -138,9 +137,7 @@ def fill_ends(width: NDArray, half: NDArray, xs: NDArray, size: NDArray) -> NDAr
         beyond = np.flatnonzero(sign * (xs - xs[last]) >= 0)
         s = np.abs(xs[beyond] - xs[last]) / reach
         rounded = np.where(s < 0.97, np.sqrt(np.clip(1 - 0.35 * s**3, 0, 1)), 0)
-        width[beyond] = np.where(
-            s[:, None] < 0.97, np.maximum(width[beyond], width[last] * rounded[:, None]), 0
-        )
+        width[beyond] = np.where(s[:, None] < 0.97, np.maximum(width[beyond], width[last] * rounded[:, None]), 0)
     return width
 
 
@@ -149,7 +146,7 @@ def undercarriage(
 ) -> tuple[NDArray[np.float64], tuple[Wheel, ...]]:
     """Height [X] [m] below which there is no body, and the wheels that carry it.
 
-    A wheel is where the outer side reaches lowest: scans end a hand's breadth above the ground, sills end higher.
+    A wheel is where the outer side reaches lowest: scans end a little above the ground, sills higher.
     """
     length, breadth, height = size
     ground = -height / 2
@@ -171,9 +168,7 @@ def undercarriage(
     near_wheel = np.min([np.abs(xs - w.x) for w in wheels], axis=0) < 1.35 * radius
     trusted = ~near_wheel & np.isfinite(lowest)
     bottom = np.interp(xs, xs[trusted], lowest[trusted]) if trusted.any() else np.full(len(xs), clearance)
-    bottom = gaussian_filter1d(
-        median_filter(np.clip(bottom, clearance, ground + 0.45), 15, mode="nearest"), 4
-    )
+    bottom = gaussian_filter1d(median_filter(np.clip(bottom, clearance, ground + 0.45), 15, mode="nearest"), 4)
     return bottom, tuple(wheels)
 
 
@@ -208,7 +203,7 @@ def _contour(width: NDArray, xs: NDArray, zs: NDArray, wheels: tuple[Wheel, ...]
     image = pyvista.ImageData(dimensions=occupancy.shape, spacing=(VOXEL,) * 3, origin=(xs[0], ys[0], zs[0]))
     image["occupancy"] = occupancy.ravel(order="F")
     mesh = image.contour([ISO], "occupancy").connectivity("largest").triangulate()
-    gradient = np.stack(np.gradient(gaussian_filter(occupancy, 1.5), VOXEL), -1)
+    gradient = np.stack([np.gradient(gaussian_filter(occupancy, 1.5), VOXEL, axis=k) for k in range(3)], -1)
     vertices = np.asarray(mesh.points, np.float64)
     cells = np.clip(np.round((vertices - image.origin) / VOXEL).astype(int), 0, np.array(occupancy.shape) - 1)
     normals = -gradient[tuple(cells.T)]

@@ -118,8 +118,4 @@ def _fit(looks: list[_Look], dark: list[NDArray], direction: NDArray) -> float:
     shadow = np.concatenate([look.shaded(direction) for look in looks]).astype(np.float64)
     darkness = np.concatenate(dark)
     spread = shadow.std() * darkness.std()
-    return (
-        float(((shadow - shadow.mean()) * (darkness - darkness.mean())).mean() / spread)
-        if spread > 0
-        else 0.0
-    )
+    return float(((shadow - shadow.mean()) * (darkness - darkness.mean())).mean() / spread) if spread > 0 else 0.0

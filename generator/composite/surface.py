@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from dwgs.scene import VehiclePoints
 from generator.composite.color import linear_from_srgb
@@ -43,7 +43,7 @@ class Surface:
 def surface_of(vehicle: VehiclePoints, size: NDArray, seed: int = 0) -> Surface:
     """The whole surface of a vehicle of ``size`` [3] [m]; what its points do not cover is completed.
 
-    A complete cloud with normals (a mesh) is taken as it is; any other is a scan: it becomes a solid, and paints it.
+    A complete cloud with normals (a mesh) is taken as it is; any other is a scan: a solid that it paints.
     """
     if vehicle.is_complete and vehicle.normals is not None:
         return _of_mesh(vehicle, size)
@@ -71,21 +71,17 @@ def _of_mesh(vehicle: VehiclePoints, size: NDArray) -> Surface:
     points, normals = vehicle.points[kept], vehicle.normals[kept]
     colors = np.float32(WHITE) * linear_from_srgb(vehicle.colors[kept] / np.float32(255))
     is_rubber = (points[:, 2] < -0.2 * size[2]) & (colors.max(1) < RUBBER)
-    return Surface(
-        points, normals, _radii(points), colors, np.float32(1) - is_rubber, np.zeros(len(kept), np.float32)
-    )
+    return Surface(points, normals, _radii(points), colors, np.float32(1) - is_rubber, np.zeros(len(kept), np.float32))
 
 
 def _evenly(points: NDArray, cell: float) -> NDArray[np.int64]:
-    """One of the points [P, 3] in each occupied cube of side ``cell`` [m]: random samples leave gaps, cubes do not."""
+    """One of the points [P, 3] in each occupied cube of side ``cell`` [m]: unlike chance, this leaves no gaps."""
     cubes = np.floor((points - points.min(0)) / cell).astype(np.int64)
     shape = cubes.max(0) + 1
     return np.sort(np.unique(np.ravel_multi_index(tuple(cubes.T), tuple(shape)), return_index=True)[1])
 
 
 def _radii(points: NDArray) -> NDArray[np.float32]:
-    """Half the distance to the sixth neighbour [N], where a hexagon would have its ring; strays stay small."""
-    distance = (
-        cKDTree(points).query(points, min(7, len(points)), workers=2)[0].reshape(len(points), -1)[:, -1]
-    )
+    """Half the distance to the sixth neighbour [N], as in a hexagon; strays stay small."""
+    distance = KDTree(points).query(points, min(7, len(points)), workers=2)[0].reshape(len(points), -1)[:, -1]
     return np.clip(0.5 * distance, 0.002, 3 * np.median(distance)).astype(np.float32)

@@ -1,7 +1,7 @@
-"""Who sees which light: a vehicle's discs, and the ground around it (precomputed radiance transfer, Sloan et al. 2002).
+"""Who sees which light: a vehicle's discs, and the ground around it (radiance transfer, Sloan et al. 2002).
 
-Both are sums over directions of what the vehicle itself leaves free, found once, in its own frame. Whatever light it drives
-through later is a matrix product.
+Both are sums over directions of what the vehicle itself leaves free, found once, in its own frame. Whatever light
+it drives through later is a matrix product.
 """
 
 from functools import cached_property
@@ -38,7 +38,7 @@ class Transfer:
 
     @cached_property
     def discs(self) -> NDArray[np.float32]:
-        """[N, D]: irradiance of a disc from each direction, as a share of what uniform light gives a free disc."""
+        """[N, D]: light a disc gets from each direction, as a share of what a free disc gets in all."""
         cosine = np.maximum(self.surface.normals @ self.directions.T, 0) * np.float32(4 / DISC_DIRECTIONS)
         for d, direction in enumerate(self.directions):
             cosine[:, d] *= self.sees(direction)
@@ -46,7 +46,7 @@ class Transfer:
 
     @cached_property
     def ground(self) -> NDArray[np.float32]:
-        """[G, X, Y]: 1 where the vehicle hides a direction from the ground, cells of `CELL` about its middle."""
+        """[G, X, Y]: 1 where the vehicle hides a direction from the ground, in cells of `CELL`."""
         return np.stack([self.shadow(direction) for direction in self.ground_directions])
 
     def sees(self, direction: NDArray) -> NDArray[np.bool_]:

@@ -27,7 +27,7 @@ def box_vehicle():
 
 
 def street(wall):
-    """A grey road under a pale sky, three frames; the wall stands to the right of the middle, nearer than the vehicle."""
+    """A grey road under a pale sky, three frames; a wall may hide the right half of the vehicle."""
     x, y = np.meshgrid(np.linspace(2, 40, 120), np.linspace(-10, 10, 60))
     cloud = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     image = np.full((HEIGHT, WIDTH, 3), (90, 90, 95), np.uint8)
@@ -42,9 +42,7 @@ def street(wall):
     if wall:
         y, z = np.meshgrid(np.linspace(-3, 0, 120), np.linspace(0.02, 3, 120))
         shaded = (cloud[:, 0] > 5) & (cloud[:, 1] < 0) & (cloud[:, 1] > -0.6 * cloud[:, 0])
-        cloud = np.concatenate(
-            [cloud[~shaded], np.column_stack([np.full(y.size, 5.0), y.ravel(), z.ravel()])]
-        )
+        cloud = np.concatenate([cloud[~shaded], np.column_stack([np.full(y.size, 5.0), y.ravel(), z.ravel()])])
         uv, _ = camera.project(cloud[-y.size :])
         (left, top), (right, bottom) = np.floor(uv.min(0)).clip(0).astype(int), np.ceil(uv.max(0)).astype(int)
         image[top:bottom, left:right] = (30, 120, 30)

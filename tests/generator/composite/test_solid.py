@@ -67,9 +67,7 @@ def test_the_silhouette_of_a_one_sided_scan_has_no_holes(surface, eye):
     camera = view(eye)
     seen = facing(surface, camera, np.eye(4))
     _, _, coverage = draw(surface, seen, surface.colors[seen], camera, np.eye(4))
-    middle, _ = camera.project(
-        [[x, y, z] for x in (-1.5, 0, 1.5) for y in (-0.6, 0.6) for z in (-0.3, 0, 0.5)]
-    )
+    middle, _ = camera.project([[x, y, z] for x in (-1.5, 0, 1.5) for y in (-0.6, 0.6) for z in (-0.3, 0, 0.5)])
     column, row = middle.astype(int).T
     assert (coverage[row, column] > 0.99).all()
 

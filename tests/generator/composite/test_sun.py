@@ -5,18 +5,14 @@ from dwgs.scene.pose import pose
 from generator.composite.sun import find_sun
 
 ELEVATION, AZIMUTH = np.radians(40), np.radians(120)
-TOWARDS = np.array(
-    [np.cos(ELEVATION) * np.cos(AZIMUTH), np.cos(ELEVATION) * np.sin(AZIMUTH), np.sin(ELEVATION)]
-)
+TOWARDS = np.array([np.cos(ELEVATION) * np.cos(AZIMUTH), np.cos(ELEVATION) * np.sin(AZIMUTH), np.sin(ELEVATION)])
 DOWN = np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]])
 
 
 def square(has_sun):
     """Posts on a pale square, seen from above, with the shadows of a known sun, or without any."""
     rng = np.random.default_rng(0)
-    camera = Camera(
-        np.array([[200.0, 0, 200], [0, 200, 200], [0, 0, 1]]), 400, 400, pose(DOWN, [0, 0, 18]), 0.0
-    )
+    camera = Camera(np.array([[200.0, 0, 200], [0, 200, 200], [0, 0, 1]]), 400, 400, pose(DOWN, [0, 0, 18]), 0.0)
     posts = rng.uniform(-14, 14, (14, 2))
     z = np.linspace(0.4, 2.5, 60)
     around = rng.uniform(-0.5, 0.5, (14, 60, 2)) + posts[:, None]
