@@ -30,7 +30,8 @@ from dwgs.reconstruct.model import Street
 from dwgs.reconstruct.sky import SHELL_RADIUS
 from dwgs.reconstruct.static_points import static_points
 from dwgs.reconstruct.views import TrainingView, evenly, read_view, split_frames
-from dwgs.scene import Background, Gaussians, Scene
+from dwgs.scene import Background, Gaussians, InputError, Scene
+from dwgs.scene.ground import Ground
 from dwgs.scene.sky import pixel_rays
 
 COARSE = 0.15
@@ -64,15 +65,21 @@ def reconstruct(scene: Scene, config: ReconstructConfig) -> Generator[Event, Non
     """
     begin = time.perf_counter()
     teaching, judging = split_frames(scene)
+    if not scene.sweeps:
+        raise InputError(
+            f"a street is reconstructed from images and LiDAR, but '{scene.name}' has no LiDAR sweep; "
+            "record one, or give points of a structure-from-motion run as a sweep"
+        )
+    ground = Ground.from_sweeps(scene.sweeps, scene.ego)
     static: dict[int, NDArray[np.float32]] = {}
     for i, sweep in enumerate(scene.sweeps, 1):
         static[sweep.frame_index] = static_points(scene, sweep)
         yield Preparing("sweeps", i, len(scene.sweeps))
     views = []
     for i, frame in enumerate(teaching, 1):
-        views.append(read_view(scene, frame, static.get(frame.index, NO_POINTS)))
+        views.append(read_view(scene, frame, ground, static.get(frame.index, NO_POINTS)))
         yield Preparing("frames", i, len(teaching))
-    gaussians, sky = initialize(scene, static, views, config)
+    gaussians, sky = initialize(scene, ground, static, views, config)
     street = Street(scene, teaching, gaussians, sky)
     views = [_imagine_hidden(street, i, view, config.threads) for i, view in enumerate(views)]
     yield Grown(0, len(street))
@@ -92,7 +99,7 @@ def reconstruct(scene: Scene, config: ReconstructConfig) -> Generator[Event, Non
             yield Grown(step, len(street))
 
     background = street.to_background(judging)
-    judged = evenly(views, JUDGED_VIEWS) + [read_view(scene, frame, NO_POINTS) for frame in judging]
+    judged = evenly(views, JUDGED_VIEWS) + [read_view(scene, frame, ground, NO_POINTS) for frame in judging]
     report = evaluate(background, judged, {frame.index for frame in judging}, config.threads)
     rotation, translation = street.pose_corrections()
     report |= {

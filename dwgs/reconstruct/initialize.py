@@ -53,21 +53,25 @@ class Gaps:
 
 
 def initialize(
-    scene: Scene, static: dict[int, NDArray[np.float32]], views: list[TrainingView], config: ReconstructConfig
+    scene: Scene,
+    ground: Ground,
+    static: dict[int, NDArray[np.float32]],
+    views: list[TrainingView],
+    config: ReconstructConfig,
 ) -> tuple[Gaussians, NDArray[np.float32]]:
     """Gaussians in the world and the sky image behind them.
 
     Args:
         scene: The drive.
+        ground: How high its road lies.
         static: Frame index to the points [P, 3] of its sweep that lie on nothing that moves.
         views: The frames that teach.
         config: How many Gaussians, and the seed.
 
     Raises:
-        InputError: The scene has no LiDAR point in front of its cameras.
+        InputError: No LiDAR point lies in front of a camera.
     """
     points, sizes = lidar_points(scene, static, views, config)
-    ground = Ground.from_sweeps(scene.sweeps, scene.ego)
     lidar = discs(points, sizes, OPACITY)
     gaps = find_gaps(lidar, views, ground, config.threads)
     road, road_sizes = thin(gaps.road, gaps.road_sizes)
@@ -91,11 +95,6 @@ def lidar_points(
     scene: Scene, static: dict[int, NDArray[np.float32]], views: list[TrainingView], config: ReconstructConfig
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points [N, 3] on the street as dense as the images resolve, and how far apart they lie [N] [m]."""
-    if not scene.sweeps:
-        raise InputError(
-            f"a street is reconstructed from images and LiDAR, but '{scene.name}' has no LiDAR sweep; "
-            "record one, or give points of a structure-from-motion run as a sweep"
-        )
     points = np.concatenate(list(static.values()))
     sizes = spacing_in_view(points, [view.camera for view in evenly(views, GAP_VIEWS)])
     in_view = np.isfinite(sizes)

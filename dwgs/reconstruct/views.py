@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 from dwgs.reconstruct.inpaint import fill_smoothly
 from dwgs.reconstruct.moving_mask import moving_mask
 from dwgs.reconstruct.static_points import depth_samples
+from dwgs.reconstruct.unseen import meet_ground
 from dwgs.scene import Camera, Frame, Scene
+from dwgs.scene.ground import Ground
+from dwgs.scene.sky import pixel_rays
 
 HELD_OUT_EVERY = 8
 """One instant in so many judges and never teaches."""
@@ -66,19 +69,33 @@ def split_frames(scene: Scene) -> tuple[list[Frame], list[Frame]]:
     return [f for f in frames if f.index not in judging], [f for f in frames if f.index in judging]
 
 
-def read_view(scene: Scene, frame: Frame, points: NDArray[np.float32]) -> TrainingView:
+def read_view(scene: Scene, frame: Frame, ground: Ground, points: NDArray[np.float32]) -> TrainingView:
     """The frame with its traffic painted over; static ``points`` [P, 3] of its sweep give depths."""
     hidden = moving_mask(scene, frame)
     reactive = frame.reactive_mask
     if reactive is not None:
         hidden |= reactive
-    pixels = frame.pixels
-    if hidden.any():
-        smooth = fill_smoothly(torch.from_numpy(pixels).float(), torch.from_numpy(~hidden).float(), PAINT_STRIDE)
-        pixels = np.where(hidden[..., None], smooth.round().byte().numpy(), pixels)
+    pixels = paint_over(frame.pixels, hidden, frame.camera, ground) if hidden.any() else frame.pixels
     index, depths = depth_samples(points, frame.camera)
     shown = ~hidden[index[:, 0], index[:, 1]]
     return TrainingView(frame, frame.camera, pixels, hidden, index[shown], depths[shown])
+
+
+def paint_over(
+    pixels: NDArray[np.uint8], hidden: NDArray[np.bool_], camera: Camera, ground: Ground
+) -> NDArray[np.uint8]:
+    """The image [H, W, 3] with ``hidden`` [H, W] a smooth continuation: road goes on as road, the rest as the rest."""
+    coarse = camera.resize(-(-camera.width // PAINT_STRIDE), -(-camera.height // PAINT_STRIDE))
+    rays = pixel_rays(coarse)
+    _, arrives = meet_ground(ground, camera.position, rays.reshape(-1, 3))
+    is_road = arrives.reshape(rays.shape[:2]).repeat(PAINT_STRIDE, 0).repeat(PAINT_STRIDE, 1)
+    is_road = is_road[: camera.height, : camera.width]
+    image, painted = torch.from_numpy(pixels).float(), pixels
+    for part in (is_road, ~is_road):
+        if (hidden & part).any() and (part & ~hidden).any():
+            smooth = fill_smoothly(image, torch.from_numpy(part & ~hidden).float(), PAINT_STRIDE)
+            painted = np.where((hidden & part)[..., None], smooth.round().byte().numpy(), painted)
+    return painted
 
 
 def evenly(items: list, count: int) -> list:

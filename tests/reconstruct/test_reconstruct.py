@@ -107,6 +107,6 @@ def test_without_lidar_the_message_says_what_is_missing(drive):
 
 
 def test_lidar_elsewhere_is_told_from_lidar_in_view(drive):
-    moved = tuple(replace(s, points=s.points - np.float32([500, 0, 0])) for s in drive.sweeps)
+    moved = tuple(replace(s, points=s.points - np.float32([60, 0, 0])) for s in drive.sweeps)
     with pytest.raises(InputError, match="no LiDAR point of 'toy' lies in front"):
         fit(replace(drive, sweeps=moved))

@@ -1,14 +1,19 @@
 from dataclasses import replace
 
 import numpy as np
-from toy_drive import CAR_COLOR
+from toy_drive import CAR_COLOR, make_drive
 
 from dwgs.reconstruct.static_points import static_points
-from dwgs.reconstruct.views import evenly, read_view, split_frames
+from dwgs.reconstruct.views import evenly, paint_over, read_view, split_frames
+from dwgs.scene.ground import Ground
+
+
+def flat(drive):
+    return Ground.from_sweeps(drive.sweeps, drive.ego)
 
 
 def view(drive, i=0):
-    return read_view(drive, drive.frames["front"][i], static_points(drive, drive.sweeps[i]))
+    return read_view(drive, drive.frames["front"][i], flat(drive), static_points(drive, drive.sweeps[i]))
 
 
 def test_every_eighth_instant_judges_with_all_its_cameras(drive):
@@ -34,8 +39,23 @@ def test_repainted_pixels_say_nothing_about_the_street(drive):
     frame = drive.frames["front"][0]
     painted = np.zeros((frame.camera.height, frame.camera.width), bool)
     painted[5:9, 5:9] = True
-    seen = read_view(drive, replace(frame, load_reactive_mask=lambda: painted), np.zeros((0, 3), np.float32))
+    seen = read_view(
+        drive, replace(frame, load_reactive_mask=lambda: painted), flat(drive), np.zeros((0, 3), np.float32)
+    )
     assert seen.hidden[painted].all()
+
+
+def test_road_is_painted_as_road_and_a_wall_as_a_wall():
+    drive = make_drive(frames=1)
+    image = np.full((64, 96, 3), 200, np.uint8)
+    image[29:] = 50
+    hidden = np.zeros((64, 96), bool)
+    hidden[20:50, 30:60] = True
+    image[hidden] = 255
+    painted = paint_over(image, hidden, drive.frames["front"][0].camera, flat(drive))
+    assert (np.abs(painted[20:26, 30:60].astype(int) - 200) < 10).all()
+    assert (np.abs(painted[40:50, 30:60].astype(int) - 50) < 10).all()
+    assert (painted[~hidden] == image[~hidden]).all()
 
 
 def test_half_a_view_sees_the_same_street(drive):
