@@ -150,10 +150,7 @@ def author_insertion(
         track = whole.track(choice.vehicle)
         vehicle, size = points_of_track(whole, track)
         notes.append(f"{choice.vehicle}: recorded {track.category.lower()}, {len(vehicle.points):,} LiDAR points")
-    if has_own_way:
-        trajectory = clip.street().insertion().trajectory
-    else:
-        trajectory = placement.drive(scene, size)
+    trajectory = clip.street().insertion().trajectory if has_own_way else placement.drive(scene, size)
     insertion = Insertion(vehicle, size, trajectory)
     require_visible(scene, insertion)
     return insertion, notes + conflict_notes(scene, size, trajectory)
