@@ -1,5 +1,6 @@
 """The `dwgs` command: one file per verb, heavy imports inside the verbs."""
 
+import errno
 import sys
 from collections.abc import Sequence
 
@@ -38,11 +39,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except InputError as error:
         fail(str(error))
     except OSError as error:
-        place = f" ({error.filename})" if error.filename else ""
-        fail(f"the system says: {error.strerror or error}{place}; nothing half-written is left behind")
+        fail(system_sentence(error))
     except KeyboardInterrupt:
         print("dwgs: interrupted; finished stages are kept", file=sys.stderr)
         sys.exit(130)
+
+
+def system_sentence(error: OSError) -> str:
+    """What the operating system refused, and what is left."""
+    is_short_write = error.errno is None and "requested and" in str(error)  # NumPy's, where the disk is full
+    if error.errno in (errno.ENOSPC, errno.EDQUOT) or is_short_write:
+        return "the disk is full; free some space and run the same command again, finished stages are kept"
+    place = f" ({error.filename})" if error.filename else ""
+    return f"the system says: {error.strerror or error}{place}; nothing half-written is left behind"
 
 
 def fail(sentence: str) -> None:

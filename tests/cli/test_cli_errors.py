@@ -21,6 +21,15 @@ def refused(capsys, tmp_path):
     return run
 
 
+def test_a_full_disk(refused, monkeypatch):
+    def write(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("dwgs.video.write_lossless", write)
+    monkeypatch.setattr("generator.conditions.folder.write_lossless", write)
+    assert "disk is full" in refused("condition", "street", "--vehicle", "street", *TOY)
+
+
 TOY = ("--frames", "0-8", "--size", "96x64")
 
 
