@@ -1,0 +1,83 @@
+"""Trainable Gaussians: activated outside, unbounded inside, growing and shrinking under one optimiser."""
+
+import numpy as np
+import pytest
+import torch
+
+from dwgs.optimize import PoseParameters, Rates, SplatParameters
+from dwgs.scene import Gaussians
+
+RATES = Rates(means=0.01, quats=0.01, scales=0.01, opacities=0.05, sh_dc=0.02, sh_rest=0.01)
+
+
+def cloud(count: int, seed: int = 0) -> Gaussians:
+    rng = np.random.default_rng(seed)
+    fields = (
+        rng.normal(size=(count, 3)),
+        np.tile([1.0, 0, 0, 0], (count, 1)),
+        rng.uniform(0.01, 0.1, (count, 3)),
+        rng.uniform(0.1, 0.9, count),
+        rng.normal(size=(count, 4, 3)),
+    )
+    return Gaussians(*(f.astype(np.float32) for f in fields))
+
+
+def pull(parameters: SplatParameters) -> float:
+    """One step towards the origin."""
+    loss = parameters.splats().means.square().sum()
+    loss.backward()
+    parameters.step()
+    return loss.item()
+
+
+def test_what_goes_in_comes_out():
+    gaussians = cloud(20)
+    back = SplatParameters(gaussians, RATES).to_gaussians()
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        np.testing.assert_allclose(getattr(back, name), getattr(gaussians, name), rtol=2e-6, atol=1e-6)
+
+
+def test_steps_go_downhill():
+    parameters = SplatParameters(cloud(20), RATES)
+    losses = [pull(parameters) for _ in range(20)]
+    assert losses[-1] < losses[0]
+
+
+def test_a_mean_steps_as_far_as_its_scale_says():
+    scale = torch.tensor([1.0] * 10 + [100.0] * 10)
+    gaussians = cloud(20)
+    parameters = SplatParameters(gaussians, RATES, scale)
+    pull(parameters)
+    moved = np.abs(parameters.to_gaussians().means - gaussians.means).mean(1)
+    assert moved[10:].mean() == pytest.approx(100 * moved[:10].mean(), rel=0.01)
+
+
+def test_growing_keeps_what_the_optimiser_knows_of_the_others():
+    alone, grown = SplatParameters(cloud(20), RATES), SplatParameters(cloud(20), RATES)
+    for _ in range(3):
+        pull(alone), pull(grown)
+    grown.append(cloud(5, seed=1))
+    pull(alone), pull(grown)
+    assert len(grown) == 25
+    np.testing.assert_allclose(grown.to_gaussians().means[:20], alone.to_gaussians().means, atol=1e-6)
+
+
+def test_shrinking_keeps_what_the_mask_says():
+    parameters = SplatParameters(cloud(20), RATES)
+    pull(parameters)
+    before = parameters.to_gaussians()
+    mask = torch.arange(20) % 2 == 0
+    parameters.keep(mask)
+    np.testing.assert_array_equal(parameters.to_gaussians().means, before.means[mask.numpy()])
+    pull(parameters)
+
+
+def test_pose_corrections_begin_as_nothing_and_stay_rigid():
+    poses = PoseParameters(3, 1e-2, 1e-2)
+    torch.testing.assert_close(poses.matrix(1), torch.eye(4))
+    for _ in range(5):
+        (poses.matrix(1)[:3, 3].sum() + poses.matrix(1)[0, 1]).backward()
+        poses.step()
+    rotation = poses.matrix(1)[:3, :3]
+    torch.testing.assert_close(rotation @ rotation.T, torch.eye(3))
+    torch.testing.assert_close(poses.matrix(0), torch.eye(4))
