@@ -19,9 +19,14 @@ def test_a_failure_leaves_what_was_there_and_nothing_else(tmp_path, new):
         path.write_text("old")
     else:
         path.mkdir()
-    with pytest.raises(RuntimeError), new(path) as draft:
-        (draft if new is new_file else draft / "part").write_text("half")
-        raise RuntimeError
+
+    def fail_half_way():
+        with new(path) as draft:
+            (draft if new is new_file else draft / "part").write_text("half")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail_half_way()
     assert [p.name for p in tmp_path.iterdir()] == ["x"]
     assert path.read_text() == "old" if new is new_file else not list(path.iterdir())
 
