@@ -9,7 +9,7 @@ from dwgs.optimize import Rates
 class DistillConfig:
     """What may be asked of a distillation. The same values and input give the same bytes."""
 
-    steps: int = 2500
+    steps: int = 1800
     """Length of the schedule. Never stop early: the rates fall, and quality rises, at its end."""
     gaussians: int = 20_000
     """At most so many on the vehicle's body."""
