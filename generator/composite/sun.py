@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from dwgs.scene import Frame, Scene
 from dwgs.scene.ground import Ground
@@ -19,9 +20,11 @@ OBSTACLES = 15_000
 """Returns of a sweep that cast shadows at most."""
 AZIMUTHS, ELEVATIONS = np.radians(np.arange(0, 360, 10)), np.radians(np.arange(15, 80, 10))
 """Where the sun is looked for first."""
+BESIDE = 0.6
+"""Ground within this distance [m] of an obstacle does not tell whether there is a sun."""
 CERTAIN = 0.2
 """A correlation below this, between predicted shadows and dark ground, is chance, or the dark under parked cars."""
-BRIGHTER = 2.5
+BRIGHTER = 2.3
 """Sunlit ground is so many times brighter than shaded ground at least; less is old and new asphalt."""
 
 
@@ -47,6 +50,8 @@ class _Look:
     """[G, 3] linear."""
     obstacles: NDArray[np.float64]
     """[P, 3] world xy and height above the ground [m]."""
+    clear: NDArray[np.bool_]
+    """[G] whether no obstacle stands right beside the point: there it is dark under any sky."""
 
     def shaded(self, direction: NDArray) -> NDArray[np.bool_]:
         """Which ground points [G] the obstacles shade from a light in that direction [3]."""
@@ -74,12 +79,14 @@ def find_sun(scene: Scene, frames: list[Frame]) -> Sun | None:
         for a in steps
         for e in steps
     )
-    if best < CERTAIN:
-        return None
     direction = _direction(azimuth, elevation)
+    clear = np.concatenate([look.clear for look in looks])
     in_shadow = np.concatenate([look.shaded(direction) for look in looks])
+    if best < CERTAIN or not (in_shadow & clear).any():
+        return None
     colors = np.concatenate([look.colors for look in looks])
-    shaded, sunlit = np.median(colors[in_shadow], axis=0), np.median(colors[~in_shadow], axis=0)
+    shaded = np.median(colors[in_shadow & clear], axis=0)
+    sunlit = np.median(colors[~in_shadow & clear], axis=0)
     if luminance(sunlit) < BRIGHTER * luminance(shaded):
         return None
     return Sun(direction.astype(np.float32), shaded, sunlit)
@@ -98,13 +105,16 @@ def _looks(scene: Scene, frames: list[Frame]) -> list[_Look]:
         height = points[:, 2] - relief.height(points[:, :2])
         floor = points[np.abs(height) < FLAT]
         uv, depth = camera.project(floor)
-        seen = (depth > 1) & (uv >= 0).all(1) & (uv < (camera.width, camera.height)).all(1)
-        column, row = uv[seen].astype(int).T
+        visible = (depth > 1) & (uv >= 0).all(1) & (uv < (camera.width, camera.height)).all(1)
         tall = (height > LOW) & (height < HIGH)
-        if seen.sum() > 100 and tall.any():
+        if not tall.any():
+            continue
+        clear = KDTree(points[tall, :2]).query(floor[:, :2], distance_upper_bound=BESIDE)[0] > BESIDE
+        column, row = uv[visible].astype(int).T
+        if visible.sum() > 100:
             colors = linear_from_srgb(frame.pixels[row, column] / np.float32(255))
             obstacles = np.column_stack([points, height])[tall][:: -(-tall.sum() // OBSTACLES)]
-            looks.append(_Look(floor[seen, :2], colors, obstacles[:, (0, 1, 3)]))
+            looks.append(_Look(floor[visible, :2], colors, obstacles[:, (0, 1, 3)], clear[visible]))
     return looks
 
 
@@ -117,5 +127,6 @@ def _fit(looks: list[_Look], dark: list[NDArray], direction: NDArray) -> float:
     """Correlation of predicted shadow with darkness over all ground points; 0 where either does not vary."""
     shadow = np.concatenate([look.shaded(direction) for look in looks]).astype(np.float64)
     darkness = np.concatenate(dark)
-    spread = shadow.std() * darkness.std()
-    return float(((shadow - shadow.mean()) * (darkness - darkness.mean())).mean() / spread) if spread > 0 else 0.0
+    shadow, darkness = shadow - shadow.mean(), darkness - darkness.mean()
+    spread = np.sqrt((shadow**2).sum() * (darkness**2).sum())
+    return float((shadow * darkness).sum() / spread) if spread > 0 else 0.0
