@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, max_pool2d
 
 from dwgs.reconstruct.config import ReconstructConfig
 from dwgs.reconstruct.discs import discs, sh_of_color
@@ -81,7 +81,7 @@ def initialize(
 
     is_seen = evidence > 0.5
     is_road = np.abs(points[:, 2] - ground.height(points[:, :2])) < ROAD_TOLERANCE
-    colors = continue_colors(points, colors, is_seen & is_road, ~is_seen & is_road)
+    colors = continue_colors(points, colors, (evidence > 0) & is_road, (evidence == 0) & is_road)
     opacities = np.where(is_seen, OPACITY, ROAD_OPACITY).astype(np.float32)
     near = replace(near, opacities=opacities, sh=sh_of_color(colors))[(evidence > 0) | is_road]
 
@@ -160,7 +160,9 @@ def observe_colors(
     sums, weights = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians))
     for view in evenly(views, COLOR_VIEWS):
         with torch.no_grad():
-            surface = render(splats, View.from_camera(view.camera), threads=threads).expected_depth.numpy()
+            surface = render(splats, View.from_camera(view.camera), threads=threads).expected_depth
+            # A pixel of road far away spans metres of depth: the farthest of its neighbours is still the surface.
+            surface = max_pool2d(surface[None, None], 3, 1, 1)[0, 0].numpy()
         index, rows, columns, depths = pixels_of(gaussians.means, view.camera)
         visible = depths < 1.03 * surface[rows, columns] + 0.1
         index, rows, columns = index[visible], rows[visible], columns[visible]

@@ -15,7 +15,7 @@ from dwgs.splat import Rendering, View, render
 
 SKY_STRIDE = 4
 """The sky is looked up at every fourth pixel and interpolated: its own pixels are larger."""
-ROTATION_RATE, TRANSLATION_RATE, GAIN_RATE = 3e-5, 3e-4, 2e-3
+ROTATION_RATE, TRANSLATION_RATE, GAIN_RATE = 2e-5, 2e-4, 2e-3
 """Step sizes of camera poses [rad], [m] and of the logarithm of exposure."""
 UNIT_DISTANCE = 10.0
 """The rate of the means holds at this distance from the nearest camera [m], and grows in proportion."""
