@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from dwgs.cli.options import ClipOptions
-from dwgs.cli.progress import Bar, say
+from dwgs.cli.progress import Bar, decibels, say
 from dwgs.cli.reconstruct import clip_key
 from dwgs.cli.stage import StageRecord, fingerprint, run_stage
 from dwgs.scene import InputError, Insertion, Scene
@@ -55,7 +55,7 @@ class Distill:
         }
         record = distill_stage(scene, background, insertion, source, self.out, self.steps, self.seed)
         report = record.report
-        say(f"held-out ROI PSNR {report['psnr_roi_heldout']:.2f} dB, {report['gaussians']:,} Gaussians")
+        say(f"held-out ROI PSNR {decibels(report['psnr_roi_heldout'])}, {report['gaussians']:,} Gaussians")
         say(
             f"next: dwgs render {self.clip.scene} --background {self.background} --asset {self.out} "
             "--move 0 3 0 -o moved.mp4"

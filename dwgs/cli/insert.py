@@ -14,12 +14,11 @@ from dwgs.cli.distill import distill_stage
 from dwgs.cli.films import film_stage
 from dwgs.cli.generate import generate_stage
 from dwgs.cli.options import ClipOptions, PlacementOptions, VehicleOptions, author_insertion
-from dwgs.cli.progress import Bar, say
+from dwgs.cli.progress import Bar, decibels, say
 from dwgs.cli.reconstruct import clip_key, reconstruct_stage
 from dwgs.cli.report import write_page
 from dwgs.cli.stage import StageRecord, run_stage, versions
 from dwgs.files import new_file
-from dwgs.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,8 @@ class Insert:
             say(note)
         key = insertion_key(clip, self.choice, self.placement)
         if clip.is_street:
-            scene, stages["record"] = self.record(scene)
+            stages["record"] = self.record()
+            scene = scene_folder.read(self.out / "recorded")
         # the cheap stages first: what is wrong with an insertion shows before the long fit
         stages["condition"] = condition_stage(scene, insertion, key, self.out / "conditions")
         source, steps = clip_key(clip), self.background_steps
@@ -80,16 +80,16 @@ class Insert:
         write_page(self.out, report, scene, edited, SceneGraph(background, [(asset, insertion.trajectory)]))
         self.say_result(report)
 
-    def record(self, scene: Scene) -> tuple[Scene, StageRecord]:
+    def record(self) -> StageRecord:
         """Drive the embedded street once, so that it is a recording on disk like any other."""
         from dwgs.datasets import folder as scene_folder
 
         def make(draft: Path, progress: Bar) -> dict:
-            scene_folder.write(scene, draft, progress.count)
-            return {"frames": len(scene.all_frames())}
+            self.clip.street().render_all(progress.count)
+            scene_folder.write(self.clip.open(), draft)
+            return {}
 
-        record = run_stage(self.out / "recorded", "record", clip_key(self.clip), make)
-        return scene_folder.read(self.out / "recorded"), record
+        return run_stage(self.out / "recorded", "record", clip_key(self.clip), make)
 
     def report(
         self, stages: dict[str, StageRecord], notes: list[str], unchanged: bool, seconds: float
@@ -118,10 +118,9 @@ class Insert:
     def say_result(self, report: dict[str, Any]) -> None:
         """The result in four lines, and what to type next."""
         distill, reconstruct = report["distill"], report["reconstruct"]
-        say(f"background  held-out PSNR {reconstruct['psnr_heldout']:.2f} dB")
+        say(f"background  held-out PSNR {decibels(reconstruct['psnr_heldout'])}")
         say(
-            f"vehicle     held-out ROI PSNR {distill['psnr_roi_heldout']:.2f} dB, "
-            f"SSIM {distill['ssim_roi_heldout']:.4f}, {distill['gaussians']:,} Gaussians"
+            f"vehicle     held-out ROI PSNR {decibels(distill['psnr_roi_heldout'])}, {distill['gaussians']:,} Gaussians"
         )
         say(f"everything  {report['seconds']:.0f} s, {report['peak_memory_mib']:.0f} MiB at most")
         say(f"look at     {self.out / 'report.html'}, {self.out / 'after.mp4'}, {self.out / 'orbit.mp4'}")

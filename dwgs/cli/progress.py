@@ -71,4 +71,9 @@ def say(line: str) -> None:
     console.print(line, highlight=False, soft_wrap=True)
 
 
+def decibels(psnr: float | None) -> str:
+    """A PSNR for people; a clip too short to hold a frame out has none."""
+    return "not measured (no frame held out)" if psnr is None else f"{psnr:.2f} dB"
+
+
 OnProgress = Callable[[int, int], None]

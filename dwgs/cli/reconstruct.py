@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from dwgs.cli.options import ClipOptions
-from dwgs.cli.progress import Bar, say
+from dwgs.cli.progress import Bar, decibels, say
 from dwgs.cli.stage import StageRecord, fingerprint, run_stage
 from dwgs.scene import Scene
 
@@ -28,7 +28,7 @@ class Reconstruct:
         """Leave a background folder."""
         scene = self.clip.open()
         record = reconstruct_stage(scene, self.clip_key(), self.out, self.steps, self.seed)
-        say(f"held-out PSNR {record.report['psnr_heldout']:.2f} dB, {record.report['gaussians']:,} Gaussians")
+        say(f"held-out PSNR {decibels(record.report['psnr_heldout'])}, {record.report['gaussians']:,} Gaussians")
         say(f"next: dwgs distill {self.clip.scene} --track ID --background {self.out} -o asset/")
 
     def clip_key(self) -> dict:

@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from dwgs.cli.films import FILMS
+from dwgs.cli.progress import decibels
 from dwgs.cli.render import rendered
 from dwgs.files import new_file
 from dwgs.scene import Scene
@@ -34,9 +35,9 @@ def write_page(out: Path, report: dict[str, Any], recorded: Scene, edited: Scene
         facts="".join(
             f"<div><b>{value}</b><span>{name}</span></div>"
             for name, value in (
-                ("vehicle, held-out ROI PSNR", f"{distill['psnr_roi_heldout']:.2f} dB"),
-                ("vehicle, held-out ROI SSIM", f"{distill['ssim_roi_heldout']:.4f}"),
-                ("background, held-out PSNR", f"{reconstruct['psnr_heldout']:.2f} dB"),
+                ("vehicle, held-out ROI PSNR", decibels(distill["psnr_roi_heldout"])),
+                ("vehicle, held-out ROI SSIM", f"{distill['ssim_roi_heldout'] or math.nan:.4f}"),
+                ("background, held-out PSNR", decibels(reconstruct["psnr_heldout"])),
                 ("Gaussians of the vehicle", f"{distill['gaussians']:,}"),
                 ("background unchanged", "yes" if report["background_unchanged"] else "NO"),
                 ("everything", f"{report['seconds']:.0f} s"),

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -76,9 +77,10 @@ def reconstruct(scene: Scene, config: ReconstructConfig) -> Generator[Event, Non
         static[sweep.frame_index] = static_points(scene, sweep)
         yield Preparing("sweeps", i, len(scene.sweeps))
     views = []
-    for i, frame in enumerate(teaching, 1):
-        views.append(read_view(scene, frame, ground, static.get(frame.index, NO_POINTS)))
-        yield Preparing("frames", i, len(teaching))
+    with ThreadPoolExecutor(config.threads) as pool:
+        for view in pool.map(lambda f: read_view(scene, f, ground, static.get(f.index, NO_POINTS)), teaching):
+            views.append(view)
+            yield Preparing("frames", len(views), len(teaching))
     gaussians, sky = initialize(scene, ground, static, views, config)
     street = Street(scene, teaching, gaussians, sky)
     views = [_imagine_hidden(street, i, view, config.threads) for i, view in enumerate(views)]

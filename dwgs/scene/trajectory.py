@@ -54,10 +54,10 @@ class Trajectory:
             return np.broadcast_to(self.world_from_vehicle[0], (*time.shape, 4, 4)).copy()
         i = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2)
         s = (time - self.times[i]) / (self.times[i + 1] - self.times[i])
-        quats = quat_from_rotation(self.world_from_vehicle[:, :3, :3])
-        positions = self.world_from_vehicle[:, :3, 3]
-        rotation = rotation_from_quat(slerp(quats[i], quats[i + 1], s))
-        return pose(rotation, positions[i] + s[..., None] * (positions[i + 1] - positions[i]))
+        before, after = self.world_from_vehicle[i], self.world_from_vehicle[i + 1]
+        quats = quat_from_rotation(before[..., :3, :3]), quat_from_rotation(after[..., :3, :3])
+        positions = before[..., :3, 3], after[..., :3, 3]
+        return pose(rotation_from_quat(slerp(*quats, s)), positions[0] + s[..., None] * (positions[1] - positions[0]))
 
     def moved(self, world_from_world: NDArray[np.float64]) -> "Trajectory":
         """The same motion carried elsewhere by a rigid transform [4, 4] of the world."""

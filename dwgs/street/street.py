@@ -36,6 +36,8 @@ EGO_FROM_CAMERA = pose([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], (1.3, 0.0, 1.6))
 """Behind the windscreen, level."""
 FOCAL = 620 / 720
 """Focal length over image width."""
+VEHICLE_POINTS = 250_000
+"""About 1 cm apart."""
 SUN_ELEVATION, SUN_AZIMUTH = np.radians(47.0), np.radians(143.0)
 """Behind the recording car to the left: it lights the rear of what drives ahead and the right-hand houses."""
 
@@ -109,7 +111,7 @@ class Street:
     def vehicle(self) -> tuple[VehiclePoints, NDArray[np.float64]]:
         """The vehicle to be inserted, as points on its surface, and its size [3] [m]."""
         hero = self.plan.hero
-        return sample_surface(hero.shape, self.plan.palette, 60_000, self.seed), np.array(hero.size)
+        return sample_surface(hero.shape, self.plan.palette, VEHICLE_POINTS, self.seed), np.array(hero.size)
 
     def insertion(self) -> Insertion:
         """The vehicle alongside in the left lane, then ahead, then in the ego lane."""

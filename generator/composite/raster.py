@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from dwgs.scene import Camera
 from dwgs.scene.pose import inverse, transform_points
@@ -17,6 +18,8 @@ OPACITY = 0.9
 """Of one disc: the next ones shine through a little, or their order would fray every edge of paint."""
 SUPERSAMPLING = 2
 """Pixels drawn across one pixel of the result: the splatter's low-pass alone would soften its edges."""
+FOOTPRINT, RESTORED = 1.0, 0.8
+"""Discs blur what they carry over about a pixel; an unsharp mask of that width [px] gives so much of it back."""
 SOLID = 0.7
 """Discs that overlap reach about this opacity between them; it counts as opaque."""
 
@@ -56,8 +59,14 @@ def draw(
     coverage = _mean(alpha * gain)
     share = np.maximum(coverage, 1e-6)
     colors = _mean(image.rgb.numpy() * gain[..., None]) / share[..., None]
-    depth = _mean(image.depth.numpy() * gain) / share
-    return colors.astype(np.float32), depth.astype(np.float32), coverage
+    return _restored(colors, coverage), _mean(image.depth.numpy() * gain) / share, coverage
+
+
+def _restored(colors: NDArray, coverage: NDArray) -> NDArray[np.float32]:
+    """Colours [H, W, 3] with the detail that the discs' footprint took; what is not covered does not count."""
+    soft = gaussian_filter(colors * coverage[..., None], (FOOTPRINT, FOOTPRINT, 0))
+    soft /= np.maximum(gaussian_filter(coverage, FOOTPRINT), 1e-3)[..., None]
+    return np.maximum(colors + RESTORED * (colors - soft), 0)
 
 
 def _mean(image: NDArray) -> NDArray[np.float32]:
