@@ -16,7 +16,7 @@ setup: .venv/ready
 	@touch $@
 
 demo: setup
-	$(BIN)/dwgs insert street --vehicle street -o out/demo
+	$(BIN)/dwgs insert street --vehicle street --draft -o out/demo
 
 test: setup
 	$(BIN)/python -m pytest

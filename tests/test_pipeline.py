@@ -8,7 +8,7 @@ from dwgs.cli import main
 from dwgs.datasets import folder as scene_folder
 from dwgs.formats import asset_folder, background_folder
 
-TOY = ["--frames", "0-16", "--size", "144x96", "--background-steps", "30", "--distill-steps", "40"]
+TOY = ["--frames", "0-16", "--size", "144x96", "--draft", "--distill-steps", "40"]
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from dwgs.cli.progress import Bar, OnProgress
 from dwgs.cli.stage import StageRecord, kept, measured, read_record, stage_key, write_record
 from dwgs.scene import Frame, Scene, Trajectory, VehicleAsset
 
-ORBIT_FRAMES = 60
-ORBIT_FPS = 20.0
+ORBIT_FRAMES = 48
+ORBIT_FPS = 16.0
 FILMS = ("before.mp4", "after.mp4", "orbit.mp4")
 
 

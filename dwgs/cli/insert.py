@@ -32,8 +32,8 @@ class Insert:
     """Folder for everything; stages whose inputs have not changed are not run again."""
     generator: str = "composite"
     """Backend that makes the pixels."""
-    background_steps: int | None = None
-    """Steps of the background's optimiser; by default what the clip's length asks for."""
+    draft: bool = False
+    """Reconstruct the background in about a minute instead of about four: fewer Gaussians, fewer steps."""
     distill_steps: int | None = None
     """Steps of the vehicle's optimiser; by default what suits the video."""
     seed: int = 0
@@ -59,8 +59,7 @@ class Insert:
             scene = scene_folder.read(self.out / "recorded")
         # the cheap stages first: what is wrong with an insertion shows before the long fit
         stages["condition"] = condition_stage(scene, insertion, key, self.out / "conditions")
-        source, steps = clip_key(clip), self.background_steps
-        stages["reconstruct"] = reconstruct_stage(scene, source, self.out / "background", steps, self.seed)
+        stages["reconstruct"] = reconstruct_stage(scene, clip_key(clip), self.out / "background", self.draft, self.seed)
         stages["generate"] = generate_stage(
             scene, self.out / "conditions", key, self.out / "edited", self.generator, self.seed
         )

@@ -19,15 +19,15 @@ class Reconstruct:
     clip: ClipOptions
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the background."""
-    steps: int | None = None
-    """Steps of the optimiser; by default what the clip's length asks for."""
+    draft: bool = False
+    """Take about a minute instead of about four: fewer Gaussians, fewer steps."""
     seed: int = 0
     """Of everything random."""
 
     def run(self) -> None:
         """Leave a background folder."""
         scene = self.clip.open()
-        record = reconstruct_stage(scene, self.clip_key(), self.out, self.steps, self.seed)
+        record = reconstruct_stage(scene, self.clip_key(), self.out, self.draft, self.seed)
         say(f"held-out PSNR {decibels(record.report['psnr_heldout'])}, {record.report['gaussians']:,} Gaussians")
         say(f"next: dwgs distill {self.clip.scene} --track ID --background {self.out} -o asset/")
 
@@ -42,16 +42,16 @@ def clip_key(clip) -> dict:
     return {**asdict(clip), "files": source}
 
 
-def reconstruct_stage(scene: Scene, source: dict, folder: Path, steps: int | None, seed: int) -> StageRecord:
+def reconstruct_stage(scene: Scene, source: dict, folder: Path, draft: bool, seed: int) -> StageRecord:
     """Fit the background of ``scene`` into ``folder``."""
 
-    def make(draft: Path, progress: Bar) -> dict:
+    def make(folder: Path, progress: Bar) -> dict:
         from dwgs.formats import background_folder
         from dwgs.reconstruct import ReconstructConfig, reconstruct
 
-        config = ReconstructConfig(seed=seed) if steps is None else ReconstructConfig(seed=seed, steps=steps)
+        config = ReconstructConfig.draft(seed) if draft else ReconstructConfig(seed=seed)
         background, report = progress.follow(reconstruct(scene, config))
-        background_folder.write(background, draft)
+        background_folder.write(background, folder)
         return report
 
-    return run_stage(folder, "reconstruct", {"source": source, "steps": steps, "seed": seed}, make)
+    return run_stage(folder, "reconstruct", {"source": source, "draft": draft, "seed": seed}, make)

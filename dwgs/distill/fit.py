@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 
 import numpy as np
@@ -144,12 +145,10 @@ def _photometric(rgb: Tensor, shot: Shot, recipe: Recipe, squared_errors: dict[i
 def _evaluate(shots: list[Shot], body: Gaussians, shadow: Gaussians, poses: BoxPoses | None, threads: int) -> dict:
     """Scores of every frame, held-out and learnt."""
     splats = Splats.from_gaussians(body), Splats.from_gaussians(shadow)
-    scores = []
-    for i, shot in enumerate(shots):
-        with torch.no_grad():
-            view = shot.view if poses is None else shot.view_at(poses.old_from_new(i))
-        scores.append(score(shot, view, *splats, threads)[0])
-    return summary(scores)
+    with torch.no_grad():
+        views = [s.view if poses is None else s.view_at(poses.old_from_new(i)) for i, s in enumerate(shots)]
+    with ThreadPoolExecutor(threads) as pool:  # a frame for each thread
+        return summary(list(pool.map(lambda shot, view: score(shot, view, *splats, threads=1)[0], shots, views)))
 
 
 def _coverage(sights: list[Sight], insertion: Insertion) -> dict:

@@ -1,5 +1,6 @@
 """How well a frozen street shows what its cameras saw."""
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -18,22 +19,24 @@ def evaluate(background: Background, views: list[TrainingView], heldout: set[int
 
     ``heldout`` names the frames that judge. Means over nothing are None, as are views that are all traffic.
     """
-    frames = []
-    for view in sorted(views, key=lambda view: (view.frame.camera_name, view.frame.index)):
+    splats = Splats.from_gaussians(background.gaussians)
+
+    def score(view: TrainingView) -> dict[str, Any]:
         name, index = view.frame.camera_name, view.frame.index
         camera = view.camera.at(background.poses[name, index])
         target, shown = view.pixels / 255, ~view.hidden
-        image = np.where(shown[..., None], show_background(background, camera, name, threads), target)
+        image = np.where(shown[..., None], show_background(background, splats, camera, name), target)
         scored = shown.any()
-        frames.append(
-            {
-                "camera": name,
-                "frame": index,
-                "heldout": index in heldout,
-                "psnr": round(psnr(image, target, shown), 3) if scored else None,
-                "ssim": round(ssim(image, target, shown), 4) if scored else None,
-            }
-        )
+        return {
+            "camera": name,
+            "frame": index,
+            "heldout": index in heldout,
+            "psnr": round(psnr(image, target, shown), 3) if scored else None,
+            "ssim": round(ssim(image, target, shown), 4) if scored else None,
+        }
+
+    with ThreadPoolExecutor(threads) as pool:  # a frame for each thread
+        frames = list(pool.map(score, sorted(views, key=lambda view: (view.frame.camera_name, view.frame.index))))
     means = {
         f"{measure}_{group}": _mean([f[measure] for f in frames if f["heldout"] == (group == "heldout")])
         for group in ("heldout", "train")
@@ -42,10 +45,10 @@ def evaluate(background: Background, views: list[TrainingView], heldout: set[int
     return means | {"frames": frames}
 
 
-def show_background(background: Background, camera: Camera, camera_name: str, threads: int) -> NDArray[np.float32]:
-    """The picture [H, W, 3] of a frozen street from any camera."""
+def show_background(background: Background, splats: Splats, camera: Camera, camera_name: str) -> NDArray[np.float32]:
+    """The picture [H, W, 3] of a frozen street, whose Gaussians are ``splats``, from any camera."""
     with torch.no_grad():
-        rendering = render(Splats.from_gaussians(background.gaussians), View.from_camera(camera), threads=threads)
+        rendering = render(splats, View.from_camera(camera), threads=1)
     sky = sky_image(background.sky, camera)
     rgb = rendering.rgb.numpy() + (1 - rendering.alpha.numpy())[..., None] * sky
     return rgb * background.exposure.get(camera_name, np.ones(3, np.float32))

@@ -11,9 +11,9 @@ from dwgs.warp_start import start_warp
 start_warp()
 wp.set_module_options({"enable_backward": False})
 
-FAINT = wp.constant(0.04)
+FAINT = wp.constant(0.08)
 """Neighbours on different things whose colours (square-root encoded) differ by more are sampled again ..."""
-STRONG = wp.constant(0.22)
+STRONG = wp.constant(0.3)
 """... with the first half of the pattern, and with all of it if they differ by more than this."""
 GREY = wp.constant(wp.vec3(0.2122, 0.2122, 0.2122))
 """Linear light of sRGB 127, behind a body drawn alone."""

@@ -83,7 +83,7 @@ def test_the_road_that_was_always_under_traffic_is_filled_and_opaque(drive, fitt
     window = np.s_[pixel[1] - 5 : pixel[1] + 5, pixel[0] - 5 : pixel[0] + 5]
     assert rendering.alpha.numpy()[window].mean() > 0.95
     assert rendering.alpha.numpy()[window].min() > 0.8
-    error = np.abs(show_background(background, camera, "front", 1) - paint(camera) / 255)[window]
+    error = np.abs(show_background(background, splats, camera, "front") - paint(camera) / 255)[window]
     assert error.mean() < 0.15
     np.testing.assert_allclose(
         rendering.expected_depth.numpy()[window].mean(), camera.project(under[None])[1][0], rtol=0.1
