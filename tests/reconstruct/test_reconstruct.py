@@ -77,7 +77,8 @@ def test_the_road_that_was_always_under_traffic_is_filled_and_opaque(drive, fitt
     rotation = np.array([[0, -np.sin(0.6), np.cos(0.6)], [-1, 0, 0], [0, -np.cos(0.6), -np.sin(0.6)]])
     camera = Camera(K, WIDTH, HEIGHT, pose(rotation, [4, 0.5, 5]), 0.0)
     view = View.from_camera(camera)
-    rendering = render(Splats.from_gaussians(background.gaussians), view, threads=1)
+    splats = Splats.from_gaussians(background.gaussians)
+    rendering = render(splats, view, threads=1)
     under = drive.tracks[0].trajectory.at(0.4)[:3, 3] - [0, 0, CAR_SIZE[2] / 2]
     pixel = np.floor(camera.project(under[None])[0][0]).astype(int)
     window = np.s_[pixel[1] - 5 : pixel[1] + 5, pixel[0] - 5 : pixel[0] + 5]
