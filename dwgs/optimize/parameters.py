@@ -26,6 +26,9 @@ class Rates:
     sh_dc: float
     sh_rest: float
     betas: tuple[float, float] = (0.9, 0.99)
+    stillness: float = 0.0
+    """Gradients below this share of their group's root mean square move their parameter in proportion. Adam alone
+    makes full steps of any gradient, so that what hardly shows wanders."""
 
 
 class SplatParameters:
@@ -60,6 +63,9 @@ class SplatParameters:
         """One step of Adam along the gradients, rates times ``factor``; the gradients are used up."""
         for group in self._optimizer.param_groups:
             group["lr"] = group["rate"] * factor
+            moments = self._optimizer.state.get(group["params"][0])
+            if moments and self.rates.stillness > 0 and moments["exp_avg_sq"].numel():
+                group["eps"] = self.rates.stillness * moments["exp_avg_sq"].mean().sqrt().item()
         self._optimizer.step()
         self._optimizer.zero_grad(set_to_none=True)
 
