@@ -13,6 +13,8 @@ setup: .venv/ready
 	@echo "installing into .venv: torch, warp, VTK and friends, about 3 GB; minutes, once"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@sh scripts/system-libraries.sh
+	@echo "compiling kernels"
+	@$(BIN)/python -m dwgs.cli.kernels
 	@touch $@
 
 demo: setup

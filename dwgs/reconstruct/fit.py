@@ -83,7 +83,8 @@ def reconstruct(scene: Scene, config: ReconstructConfig) -> Generator[Event, Non
             yield Preparing("frames", len(views), len(teaching))
     gaussians, sky = initialize(scene, ground, static, views, config)
     street = Street(scene, teaching, gaussians, sky)
-    views = [_imagine_hidden(street, i, view, config.threads) for i, view in enumerate(views)]
+    with ThreadPoolExecutor(config.threads) as pool:
+        views = list(pool.map(lambda i: _imagine_hidden(street, i, views[i], threads=1), range(len(views))))
     yield Grown(0, len(street))
 
     generator = torch.Generator().manual_seed(config.seed)

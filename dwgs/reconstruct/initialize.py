@@ -21,6 +21,8 @@ from dwgs.splat import Splats, View, render
 
 GAP_VIEWS, COLOR_VIEWS = 12, 48
 """At most so many views are searched for gaps, and asked for colours: neighbours see nearly the same."""
+POINT_SWEEPS = 64
+"""At most so many sweeps give points: neighbours hit nearly the same."""
 GAP_WINDOW = 7
 """A gap is where the LiDAR covers less than `GAP_ALPHA` of a window of so many pixels."""
 GAP_ALPHA = 0.6
@@ -95,7 +97,7 @@ def lidar_points(
     scene: Scene, static: dict[int, NDArray[np.float32]], views: list[TrainingView], config: ReconstructConfig
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points [N, 3] on the street as dense as the images resolve, and how far apart they lie [N] [m]."""
-    points = np.concatenate(list(static.values()))
+    points = np.concatenate(evenly(list(static.values()), POINT_SWEEPS))
     sizes = spacing_in_view(points, [view.camera for view in evenly(views, GAP_VIEWS)])
     in_view = np.isfinite(sizes)
     if not in_view.any():
