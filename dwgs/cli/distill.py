@@ -1,6 +1,6 @@
 """dwgs distill: the vehicle as Gaussians."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -77,16 +77,17 @@ def distill_stage(
     scene: Scene, background, insertion: Insertion, source: dict, folder: Path, steps: int | None, seed: int
 ) -> StageRecord:
     """Fit the asset of ``insertion`` into ``folder``."""
+    from dwgs.distill import DistillConfig, distill
+
+    config = DistillConfig(seed=seed) if steps is None else DistillConfig(seed=seed, steps=steps)
 
     def make(draft: Path, progress: Bar) -> dict:
-        from dwgs.distill import DistillConfig, distill
         from dwgs.formats import asset_folder
         from dwgs.scene.trajectory_file import write_trajectory
 
-        config = DistillConfig(seed=seed) if steps is None else DistillConfig(seed=seed, steps=steps)
         asset, report = progress.follow(distill(scene, background, insertion, config))
         asset_folder.write(asset, draft)
         write_trajectory(insertion.trajectory, draft / TRAJECTORY_FILE)
         return report
 
-    return run_stage(folder, "distill", {"source": source, "steps": steps, "seed": seed}, make)
+    return run_stage(folder, "distill", {"source": source, "config": asdict(config)}, make)

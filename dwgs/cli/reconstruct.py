@@ -44,14 +44,15 @@ def clip_key(clip) -> dict:
 
 def reconstruct_stage(scene: Scene, source: dict, folder: Path, draft: bool, seed: int) -> StageRecord:
     """Fit the background of ``scene`` into ``folder``."""
+    from dwgs.reconstruct import ReconstructConfig, reconstruct
+
+    config = ReconstructConfig.draft(seed) if draft else ReconstructConfig(seed=seed)
 
     def make(folder: Path, progress: Bar) -> dict:
         from dwgs.formats import background_folder
-        from dwgs.reconstruct import ReconstructConfig, reconstruct
 
-        config = ReconstructConfig.draft(seed) if draft else ReconstructConfig(seed=seed)
         background, report = progress.follow(reconstruct(scene, config))
         background_folder.write(background, folder)
         return report
 
-    return run_stage(folder, "reconstruct", {"source": source, "draft": draft, "seed": seed}, make)
+    return run_stage(folder, "reconstruct", {"source": source, "config": asdict(config)}, make)

@@ -9,7 +9,7 @@ from dwgs.optimize import Rates
 class ReconstructConfig:
     """What may be asked of a reconstruction. The same values and input give the same bytes."""
 
-    steps: int = 1000
+    steps: int = 1200
     """Length of the schedule. Never stop early: the rates fall, and quality rises, at its end."""
     gaussians: int = 160_000
     """At most so many are laid on the LiDAR points; the sky, gaps and growth come on top."""
