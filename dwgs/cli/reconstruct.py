@@ -20,7 +20,7 @@ class Reconstruct:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the background."""
     draft: bool = False
-    """Take about a minute instead of about four: fewer Gaussians, fewer steps."""
+    """Half the Gaussians and a fifth of the steps."""
     seed: int = 0
     """Of everything random."""
 
