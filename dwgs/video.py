@@ -19,6 +19,9 @@ from dwgs.scene.errors import InputError
 MAX_PIXELS = 2**27
 """A video whose header claims larger frames [px] is refused before memory is asked for."""
 
+THREADS = 2
+"""Work on the slices of one lossless frame; the bytes do not depend on it."""
+
 _TURNED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 _BT709 = 1
 _LIMITED_RANGE = 1
@@ -38,6 +41,7 @@ def write_lossless(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float =
         stream = container.add_stream("ffv1", rate=_rate(fps), options=options)
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = stored
+        stream.codec_context.thread_type, stream.codec_context.thread_count = "SLICE", THREADS
         for frame in _alike(frames, first.shape):
             container.mux(stream.encode(VideoFrame.from_ndarray(frame, format=source).reformat(format=stored)))
         container.mux(stream.encode())
@@ -48,7 +52,7 @@ def write_mp4(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float = 10.0
 
     Chroma is stored at half resolution, which needs even sizes: an odd last row or column is repeated once.
     """
-    options = {"crf": "16", "preset": "medium"}
+    options = {"crf": "16", "preset": "veryfast"}
     first, frames = _peek(frames)
     height, width = first.shape[:2]
     with (
@@ -86,6 +90,7 @@ class LosslessVideo:
         except (FFmpegError, IndexError) as error:
             raise InputError(f"'{self.path}' is not a video ({error}); write it again") from None
         codec = self._stream.codec_context
+        codec.thread_type, codec.thread_count = "SLICE", THREADS
         if codec.name != "ffv1" or codec.pix_fmt not in ("bgr0", "gray"):
             raise InputError(f"'{self.path}' is {codec.name} {codec.pix_fmt}, not lossless FFV1 in bgr0 or gray")
         if codec.width * codec.height > MAX_PIXELS:
