@@ -132,9 +132,12 @@ class Projected:
     """Gaussians as one image sees them, one record each; not drawn where the radii are zero."""
 
     records: Tensor
-    """[N, 12] mean x, y [px]; conic xx, xy, yy [px^-2]; opacity; r, g, b; depth z [m]; extent x, y [px].
+    """[N, 16] mean x, y [px]; conic xx, xy, yy [px^-2]; opacity; r, g, b; depth z [m]; extent x, y [px]; ln opacity;
+    tilt, summit, waist.
 
-    Gradients flow through the first ten; the extent reaches exactly to alpha = 1/255.
+    Gradients flow through the first ten. The rest describes the ellipse alpha = 1/255, dx and dy off the mean: it is
+    exactly ``extent`` wide and high, highest (dy = extent y) at dx = summit, and at any dx it lies between
+    ``tilt dx - h`` and ``tilt dx + h`` with ``h = waist sqrt(1 - (dx / extent x)^2)``.
     """
 
     def __len__(self) -> int:

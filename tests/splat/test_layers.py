@@ -85,7 +85,7 @@ def test_frozen_records_take_no_gradient_and_change_none(make_cloud, make_view, 
 def test_several_trainable_records_share_the_gradient(make_cloud, make_view, leaves, gradients):
     splats, view = make_cloud(), make_view()
     tensors = leaves(splats)
-    projected, nothing = project(splats, view), Projected(torch.zeros(3, 12))
+    projected, nothing = project(splats, view), Projected(torch.zeros(3, 16))
     parts = composite([projected[:100], nothing, projected[100:]], view)
     for a, b in zip(gradients(parts, tensors), gradients(render(splats, view), tensors), strict=True):
         assert torch.equal(a, b)

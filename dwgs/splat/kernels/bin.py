@@ -9,7 +9,7 @@ lives on.
 import warp as wp
 
 from dwgs.splat import constants
-from dwgs.splat.kernels.project import record12
+from dwgs.splat.kernels.project import record16
 
 wp.set_module_options({"enable_backward": False})
 
@@ -37,7 +37,7 @@ def tile_span(center: float, extent: float, tiles: int) -> wp.vec2i:
 @wp.kernel
 def find_tiles(
     first: int,
-    records: wp.array(dtype=record12),
+    records: wp.array(dtype=record16),
     tiles: wp.vec2i,
     # outputs
     depths: wp.array(dtype=float),

@@ -1,9 +1,11 @@
 # type: ignore  (Warp's language, which is not Python's)
-"""The two compositing loops on a CPU: one task per 16x16 tile, one vector register per row of 16 pixels.
+"""The two compositing loops on a CPU: one task per 16x16 tile, one vector register per block of 4x4 pixels.
 
 Native snippets, because Warp's own scalar loops run an order of magnitude slower here. Both begin with the
 same text, so that forward and adjoint see bit-equal alphas and transmittances.
 """
+
+from math import log
 
 import warp as wp
 
@@ -11,7 +13,7 @@ from dwgs.splat.constants import MAX_ALPHA, MIN_ALPHA, STOP_TRANSMITTANCE
 from dwgs.splat.kernels.bin import Bins
 from dwgs.splat.kernels.canvas import Canvas
 from dwgs.splat.kernels.gather import slot10
-from dwgs.splat.kernels.project import record12
+from dwgs.splat.kernels.project import record16
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,12 +22,17 @@ SLOTS = 1
 
 _PRELUDE = f"""
     #pragma clang fp contract(on)
-    typedef float row __attribute__((vector_size(64)));
-    typedef float loose __attribute__((vector_size(64), aligned(4)));
+    typedef float block __attribute__((vector_size(64)));
+    typedef float half __attribute__((vector_size(32)));
+    typedef float quarter __attribute__((vector_size(16)));
+    typedef float loose __attribute__((vector_size(16), aligned(4)));
     typedef int mask __attribute__((vector_size(64)));
-    const row zero = {{}};
-    const row column = {{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}};
-    const float max_alpha = {MAX_ALPHA}f, min_alpha = {MIN_ALPHA!r}f, stop = {STOP_TRANSMITTANCE}f;
+    const block zero = {{}}, one = zero + 1.0f;
+    const float slack = 0.01f;  // [px] no rounding hides a block that an ellipse touches
+    const block lane_x = {{0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3}};
+    const block lane_y = {{0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3}};
+    const block strip_x = 4.0f * lane_x, strip_y = 4.0f * lane_y;  // of block b, in lane b
+    const float max_alpha = {MAX_ALPHA}f, cut = {log(MIN_ALPHA) / 8!r}f, stop = {STOP_TRANSMITTANCE}f;
 
     const int width = canvas.width, height = canvas.height;
     const bool layered = canvas.layered;
@@ -34,28 +41,37 @@ _PRELUDE = f"""
     const int tile_x = tile % canvas.tiles_across * 16, tile_y = tile / canvas.tiles_across * 16;
     const int plane = stride * ((height + 15) / 16 * 16);
     const int corner = tile_y * stride + tile_x;
-    const int rows = height - tile_y < 16 ? height - tile_y : 16;
+    const int columns = width - tile_x < 16 ? width - tile_x : 16, rows = height - tile_y < 16 ? height - tile_y : 16;
     const int *isects = bins.isect_from_sorted.data, *gaussians = bins.gaussian_from_isect.data;
-    const row px = column + (tile_x + 0.5f);
     const int begin = bins.ranges.data[tile][0], end = bins.ranges.data[tile][1];
 
-    auto load = [&](const float* image, int channel, int y) -> row {{
-        return *(const loose*)(image + channel * plane + corner + y * stride);
+    auto place = [&](int channel, int b) -> int {{ return channel * plane + corner + b / 4 * 4 * stride + b % 4 * 4; }};
+    auto load = [&](const float* image, int channel, int b) -> block {{
+        const float* at = image + place(channel, b);
+        block value;
+        for (int y = 0; y < 4; ++y) *((quarter*)&value + y) = *(const loose*)(at + y * stride);
+        return value;
     }};
-    auto any = [](mask m) -> bool {{
-        typedef long long half __attribute__((vector_size(32)));
-        const half h = *(half*)&m | *((half*)&m + 1);
-        return (h[0] | h[1] | h[2] | h[3]) != 0;
+    auto bits = [](mask m) -> unsigned {{  // one for each lane
+        typedef bool flags __attribute__((ext_vector_type(16)));
+        const flags f = __builtin_convertvector(m, flags);
+        unsigned short b;
+        __builtin_memcpy(&b, &f, 2);
+        return b;
+    }};
+    auto root = [](quarter x) -> quarter {{
+        for (int i = 0; i < 4; ++i) x[i] = __builtin_sqrtf(x[i] > 0.0f ? x[i] : 0.0f);
+        return x;
+    }};
+    auto four = [](quarter q) -> block {{
+        return __builtin_shufflevector(q, q, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3);
     }};
 
-    // exp(8 u) for u in [-0.7, 0], which the cut at 1/255 never leaves: the eighth power of a polynomial
-    // fitted to exp there, good to 1e-7 (its Taylor series would be good to 1e-4)
-    auto exp8 = [&](row u) -> row {{
+    // exp(8 u) for u in [-0.7, 0], all that the cut at 1/255 lets pass: the eighth power of a polynomial fitted to
+    // exp there, good to 1e-7 (its Taylor series would be good to 1e-4); elsewhere the result is any number
+    auto exp8 = [&](block u) -> block {{
         #pragma clang fp contract(on)
-        const row low = zero - 0.7f;
-        u = u > low ? u : low;
-        u = u < zero ? u : zero;
-        row e = u * 0.005846760179652792f + 0.03977256183882582f;
+        block e = u * 0.005846760179652792f + 0.03977256183882582f;
         e = e * u + 0.165973975498052f;
         e = e * u + 0.4998825873621815f;
         e = e * u + 0.9999925393133835f;
@@ -65,136 +81,155 @@ _PRELUDE = f"""
         return e * e;
     }};
 
-    row T[16];
-    bool alive[16];
-    for (int y = 0; y < rows; ++y) {{
-        const row one = zero + 1.0f;
-        T[y] = layered ? load(front, 4, y) : (px < (float)width ? one : zero);
+    block T[16];
+    unsigned alive = 0;  // blocks where a pixel takes light
+    for (int b = 0; b < 16; ++b) {{
+        const mask inside = (lane_x + strip_x[b] < (float)columns) & (lane_y + strip_y[b] < (float)rows);
+        T[b] = inside ? (layered ? load(front, 4, b) : one) : zero;
+        alive |= (bits(T[b] >= stop) != 0) << b;
     }}
 """
-"""Names both loops share. Columns outside the image start without light, rows outside are never visited."""
+"""Names both loops share. Pixels outside the image start without light."""
+
+_BATCH = """
+    const float* batch[16];
+    unsigned reached[16];  // blocks that the ellipse alpha = 1/255 of a Gaussian touches
+    const int count = end - first < 16 ? end - first : 16;
+    if (first > begin) {
+        for (int b = 0; b < 16; ++b) alive &= ~((unsigned)(bits(T[b] >= stop) == 0) << b);
+        if (!alive) break;
+    }
+    for (int k = first + 16; k < first + 32 && k < end; ++k)
+        __builtin_prefetch(&records.data[gaussians[isects[k]]]);  // they lie anywhere
+    for (int n = 0; n < count; ++n) {
+        const float* g = batch[n] = (const float*)&records.data[gaussians[isects[first + n]]];
+        const float x = g[0] - 0.5f - tile_x, y = g[1] - 0.5f - tile_y;
+        const quarter left = (quarter){0, 4, 8, 12} - x, right = left + 3.0f, none = {};
+        auto within = [&](float dx) -> quarter {
+            const quarter above = none + dx > left ? none + dx : left;
+            return above < right ? above : right;
+        };
+        const quarter to_top = within(g[14]), to_bottom = within(-g[14]);
+        const quarter top_x = to_top / g[10], bottom_x = to_bottom / g[10];
+        const quarter top = g[13] * to_top + g[15] * root(1.0f - top_x * top_x) + (y + slack);
+        const quarter bottom = g[13] * to_bottom - g[15] * root(1.0f - bottom_x * bottom_x) + (y - slack);
+        const mask across = (strip_x + 3.0f >= x - g[10] - slack) & (strip_x <= x + g[10] + slack);
+        reached[n] = alive & bits(across & (strip_y + 3.0f >= four(bottom)) & (strip_y <= four(top)));
+    }
+"""
+"""Sixteen Gaussians at a time, so that the processor need not guess which blocks come next.
+
+Over each of the four strips of columns an ellipse reaches from its lowest to its highest point: those of the whole
+if they are in the strip, else at the strip's nearer end.
+"""
 
 _GAUSSIAN = """
-        if ((k - begin) % 16 == 0) {
-            bool lit = false;
-            for (int y = 0; y < rows; ++y) lit |= alive[y] = any(T[y] >= stop);
-            if (!lit) break;
-        }
-        const int isect = isects[k], gaussian = gaussians[isect];
-        if (k + 8 < end) __builtin_prefetch(&records.data[gaussians[isects[k + 8]]]);  // they lie anywhere
-        const float* g = (const float*)&records.data[gaussian];
-        const row dx = px - g[0];
-        const row u_x = dx * dx * (-0.0625f * g[2]);
-        const row u_xy = dx * (-0.125f * g[3]);
-        const float u_y = -0.0625f * g[4];
-        const float above = g[1] - g[11] - 0.5f - tile_y, below = g[1] + g[11] - 0.5f - tile_y;
-        const int y_begin = above > 0.0f ? (int)__builtin_ceilf(above) : 0;
-        const int y_end = below < rows - 1 ? (int)__builtin_floorf(below) + 1 : rows;
-"""
-"""One Gaussian: what does not change from row to row; rows that its extent does not reach are not visited."""
-
-_PIXELS = """
-            if (!alive[y]) continue;
-            const float dy = (tile_y + y + 0.5f) - g[1];
-            const row e = exp8(u_x + dy * (u_xy + dy * u_y));
-            const row raw = e * g[5];
-            const mask kept = (raw >= min_alpha) & (T[y] >= stop);
-            const row clamped = raw < max_alpha ? raw : zero + max_alpha;
-            const row alpha = kept ? clamped : zero;
-            const row w = T[y] * alpha;
+        const float* g = batch[n];
+        const block left_x = lane_x - (g[0] - 0.5f - tile_x), top_y = lane_y - (g[1] - 0.5f - tile_y);
+        const float u_xx = -0.0625f * g[2], u_xy = -0.125f * g[3], u_yy = -0.0625f * g[4], u_0 = 0.125f * g[12];
+        for (unsigned blocks = reached[n]; blocks; blocks &= blocks - 1) {
+            const int b = __builtin_ctz(blocks);
+            const block dx = left_x + strip_x[b], dy = top_y + strip_y[b];
+            block u = dx * (dx * u_xx + dy * u_xy) + (dy * (dy * u_yy) + u_0);
+            u = u < u_0 ? u : zero + u_0;  // rounding must not lift a needle above its opacity
+            const block raw = exp8(u);
+            const mask kept = (u >= cut) & (T[b] >= stop);
+            const block clamped = raw < max_alpha ? raw : zero + max_alpha;
+            const block alpha = kept ? clamped : zero;
+            const block w = T[b] * alpha;
 """
 """Sixteen pixels meet one Gaussian."""
 
 _FORWARD = f"""
 {_PRELUDE}
-    row C[16][4];
-    for (int y = 0; y < rows; ++y)
-        for (int c = 0; c < 4; ++c) C[y][c] = layered ? load(front, c, y) : zero;
-    for (int k = begin; k < end; ++k) {{
+    block C[16][4];
+    for (int b = 0; b < 16; ++b)
+        for (int c = 0; c < 4; ++c) C[b][c] = layered ? load(front, c, b) : zero;
+    for (int first = begin; first < end; first += 16) {{
+{_BATCH}
+        for (int n = 0; n < count; ++n) {{
 {_GAUSSIAN}
-        for (int y = y_begin; y < y_end; ++y) {{
-{_PIXELS}
-            for (int c = 0; c < 4; ++c) C[y][c] += w * g[6 + c];
-            T[y] -= w;
+                for (int c = 0; c < 4; ++c) C[b][c] += w * g[6 + c];
+                T[b] -= w;
+            }}
         }}
     }}
-    for (int y = 0; y < rows; ++y) {{
+    auto store = [&](int channel, int b, block value) {{
+        float* at = image.data + place(channel, b);
+        for (int y = 0; y < 4; ++y) *(loose*)(at + y * stride) = *((quarter*)&value + y);
+    }};
+    for (int b = 0; b < 16; ++b) {{
         for (int c = 0; c < 4; ++c) {{
-            if (layered) C[y][c] += T[y] * load(back, c, y);
-            *(loose*)(image.data + c * plane + corner + y * stride) = C[y][c];
+            if (layered) C[b][c] += T[b] * load(back, c, b);
+            store(c, b, C[b][c]);
         }}
-        if (layered) T[y] *= 1.0f - load(back, 4, y);
-        *(loose*)(image.data + 4 * plane + corner + y * stride) = 1.0f - T[y];
+        if (layered) T[b] *= 1.0f - load(back, 4, b);
+        store(4, b, 1.0f - T[b]);
     }}
 """
 
 _ADJOINT = f"""
 {_PRELUDE}
-    typedef float half __attribute__((vector_size(32)));
-    typedef float quarter __attribute__((vector_size(16)));
-    auto fold = [](row r) -> quarter {{
+    auto fold = [](block r) -> quarter {{
         const half h = *(half*)&r + *((half*)&r + 1);
         return *(quarter*)&h + *((quarter*)&h + 1);
     }};
     auto pair = [](quarter a, quarter b) -> quarter {{
         return __builtin_shufflevector(a, b, 0, 4, 1, 5) + __builtin_shufflevector(a, b, 2, 6, 3, 7);
     }};
-    auto sums = [&](row r0, row r1, row r2, row r3) -> quarter {{  // of four rows in one go
+    auto sums = [&](block r0, block r1, block r2, block r3) -> quarter {{  // of four blocks in one go
         const quarter a = pair(fold(r0), fold(r1)), b = pair(fold(r2), fold(r3));
         return __builtin_shufflevector(a, b, 0, 1, 4, 5) + __builtin_shufflevector(a, b, 2, 3, 6, 7);
     }};
 
     // what the light still to come brings to the loss: known in full at the start, spent Gaussian by Gaussian
-    row rest[16], v[16][5];
-    for (int y = 0; y < rows; ++y) {{
-        rest[y] = zero;
+    block rest[16], v[16][5];
+    for (int b = 0; b < 16; ++b) {{
+        rest[b] = zero;
         for (int c = 0; c < 5; ++c) {{
-            v[y][c] = load(v_image.data, c, y);
-            row behind = load(image.data, c, y);
-            if (layered) behind -= c < 4 ? load(front, c, y) : 1.0f - T[y];
-            rest[y] += v[y][c] * behind;
+            v[b][c] = load(v_image.data, c, b);
+            block behind = load(image.data, c, b);
+            if (layered) behind -= c < 4 ? load(front, c, b) : 1.0f - T[b];
+            rest[b] += v[b][c] * behind;
         }}
     }}
-    int k = begin;
-    for (; k < end; ++k) {{
+    int first = begin;
+    for (; first < end; first += 16) {{
+{_BATCH}
+        for (int n = 0; n < count; ++n) {{
+            const int isect = isects[first + n];
+            const bool frozen = gaussians[isect] >= trainable;
+            block s = zero, s_x = zero, s_y = zero, s_xx = zero, s_xy = zero, s_yy = zero, v_c[4] = {{}};
 {_GAUSSIAN}
-        const bool frozen = gaussian >= trainable;
-        row s = zero, s_y = zero, s_yy = zero, v_c[4] = {{}};
-        mask touched = {{}};
-        for (int y = y_begin; y < y_end; ++y) {{
-{_PIXELS}
-            const row q = v[y][0] * g[6] + v[y][1] * g[7] + v[y][2] * g[8] + v[y][3] * g[9] + v[y][4];
-            rest[y] -= w * q;
-            T[y] -= w;
+                const block q = v[b][0] * g[6] + v[b][1] * g[7] + v[b][2] * g[8] + v[b][3] * g[9] + v[b][4];
+                rest[b] -= w * q;
+                T[b] -= w;
+                if (frozen) continue;
+                const block slope = w * q - rest[b] * alpha / (1.0f - alpha);
+                const block v_power = raw < max_alpha ? slope : zero;  // the clamp passes no gradient
+                const block by_x = v_power * dx, by_y = v_power * dy;
+                s += v_power;
+                s_x += by_x;
+                s_y += by_y;
+                s_xx += by_x * dx;
+                s_xy += by_x * dy;
+                s_yy += by_y * dy;
+                for (int c = 0; c < 4; ++c) v_c[c] += w * v[b][c];
+            }}
             if (frozen) continue;
-            touched |= kept;
-            const row slope = w * q - rest[y] * alpha / (1.0f - alpha);
-            const row v_power = raw < max_alpha ? slope : zero;  // the clamp at max_alpha passes no gradient
-            s += v_power;
-            const row by_y = v_power * dy;
-            s_y += by_y;
-            s_yy += by_y * dy;
-            for (int c = 0; c < 4; ++c) v_c[c] += w * v[y][c];
+            const quarter m1 = sums(s_x, s_y, s_xx, s_xy), m0 = sums(s, s_yy, zero, zero);
+            const quarter color = sums(v_c[0], v_c[1], v_c[2], v_c[3]);
+            float* slot = (float*)&slots.data[isect];
+            slot[0] = g[2] * m1[0] + g[3] * m1[1];
+            slot[1] = g[3] * m1[0] + g[4] * m1[1];
+            slot[2] = -0.5f * m1[2];
+            slot[3] = -m1[3];
+            slot[4] = -0.5f * m0[1];
+            slot[5] = m0[0] / g[5];
+            for (int c = 0; c < 4; ++c) slot[6 + c] = color[c];
         }}
-        if (frozen) continue;
-        float* slot = (float*)&slots.data[isect];
-        if (!any(touched)) {{
-            for (int j = 0; j < 10; ++j) slot[j] = 0.0f;
-            continue;
-        }}
-        const row s_x = s * dx;
-        const quarter m1 = sums(s_x, s_y, s_x * dx, s_y * dx);
-        const quarter m0 = sums(s, s_yy, zero, zero);
-        const quarter color = sums(v_c[0], v_c[1], v_c[2], v_c[3]);
-        slot[0] = g[2] * m1[0] + g[3] * m1[1];
-        slot[1] = g[3] * m1[0] + g[4] * m1[1];
-        slot[2] = -0.5f * m1[2];
-        slot[3] = -m1[3];
-        slot[4] = -0.5f * m0[1];
-        slot[5] = m0[0] / g[5];
-        for (int c = 0; c < 4; ++c) slot[6 + c] = color[c];
     }}
-    for (; k < end; ++k) {{  // behind the last light
+    for (int k = first; k < end; ++k) {{  // behind the last light
         float* slot = (float*)&slots.data[isects[k]];
         for (int j = 0; j < 10; ++j) slot[j] = 0.0f;
     }}
@@ -202,7 +237,7 @@ _ADJOINT = f"""
 
 
 @wp.func_native(_FORWARD)
-def draw_tile(tile: int, canvas: Canvas, bins: Bins, records: wp.array(dtype=record12), image: wp.array(dtype=float)):
+def draw_tile(tile: int, canvas: Canvas, bins: Bins, records: wp.array(dtype=record16), image: wp.array(dtype=float)):
     """Draw one tile of the image."""
 
 
@@ -211,7 +246,7 @@ def draw_tile_adjoint(
     tile: int,
     canvas: Canvas,
     bins: Bins,
-    records: wp.array(dtype=record12),
+    records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
     v_image: wp.array(dtype=float),
     trainable: int,
@@ -225,7 +260,7 @@ def composite(
     first: int,
     canvas: Canvas,
     bins: Bins,
-    records: wp.array(dtype=record12),
+    records: wp.array(dtype=record16),
     # outputs
     image: wp.array(dtype=float),
 ):
@@ -238,7 +273,7 @@ def composite_adjoint(
     first: int,
     canvas: Canvas,
     bins: Bins,
-    records: wp.array(dtype=record12),
+    records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
     v_image: wp.array(dtype=float),
     trainable: int,

@@ -11,7 +11,7 @@ from dwgs.splat import constants
 from dwgs.splat.kernels.bin import Bins
 from dwgs.splat.kernels.canvas import Canvas
 from dwgs.splat.kernels.gather import slot10
-from dwgs.splat.kernels.project import record12
+from dwgs.splat.kernels.project import record16
 
 wp.set_module_options({"enable_backward": False})
 
@@ -103,14 +103,14 @@ def light_at(pixel: Pixel, canvas: Canvas) -> float:
 
 
 @wp.func
-def falloff(record: record12, dx: float, dy: float) -> float:
+def falloff(record: record16, dx: float, dy: float) -> float:
     """exp(-d^T conic d / 2), 0 where rounding would lift it above 1."""
     power = -0.5 * (record[2] * dx * dx + record[4] * dy * dy) - record[3] * dx * dy
     return wp.exp(wp.min(power, 0.0))
 
 
 @wp.func
-def colors_of(record: record12) -> vec5:
+def colors_of(record: record16) -> vec5:
     """What a Gaussian adds per weight."""
     return vec5(record[6], record[7], record[8], record[9], 1.0)
 
@@ -119,7 +119,7 @@ def colors_of(record: record12) -> vec5:
 def composite(
     canvas: Canvas,
     bins: Bins,
-    records: wp.array(dtype=record12),
+    records: wp.array(dtype=record16),
     # outputs
     image: wp.array(dtype=float),
 ):
@@ -151,7 +151,7 @@ def composite(
 def composite_adjoint(
     canvas: Canvas,
     bins: Bins,
-    records: wp.array(dtype=record12),
+    records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
     v_image: wp.array(dtype=float),
     trainable: int,

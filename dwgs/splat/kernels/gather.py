@@ -3,7 +3,7 @@
 
 import warp as wp
 
-from dwgs.splat.kernels.project import record12
+from dwgs.splat.kernels.project import record16
 
 wp.set_module_options({"enable_backward": False})
 
@@ -19,7 +19,7 @@ def gather(
     ends: wp.array(dtype=int),
     parts: int,
     # outputs
-    v_records: wp.array(dtype=record12),
+    v_records: wp.array(dtype=record16),
 ):
     """Sum the slots of each Gaussian, ``parts`` per intersection; those beyond ``v_records`` are frozen."""
     rank = first + wp.tid()
@@ -31,7 +31,8 @@ def gather(
         total = slot10()
         for k in range(begin * parts, ends[rank] * parts):
             total += slots[k]
-        v_records[gaussian] = record12(
+        v_records[gaussian] = record16(
             total[0], total[1], total[2], total[3], total[4], total[5],
             total[6], total[7], total[8], total[9], 0.0, 0.0,
+            0.0, 0.0, 0.0, 0.0,
         )  # fmt: skip

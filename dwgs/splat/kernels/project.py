@@ -16,7 +16,7 @@ MIN_ALPHA = wp.constant(constants.MIN_ALPHA)
 NEAR = wp.constant(constants.NEAR)
 MAX_TANGENT = wp.constant(constants.MAX_TANGENT)
 
-record12 = wp.types.vector(length=12, dtype=float)
+record16 = wp.types.vector(length=16, dtype=float)
 """See `dwgs.splat.Projected.records`."""
 mat23 = wp.types.matrix(shape=(2, 3), dtype=float)
 
@@ -115,7 +115,7 @@ def determinant_of(m: mat23) -> float:
 
 
 @wp.kernel
-def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record12)):
+def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record16)):
     """One record per Gaussian; radii stay zero where it is behind, outside, too faint or not finite."""
     i = first + wp.tid()
     viewmat = lens.viewmat[0]
@@ -128,7 +128,7 @@ def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record
     opacity = cloud.opacities[i]
     quat = cloud.quats[i]
     squared = wp.dot(quat, quat)
-    record = record12()
+    record = record16()
     if wp.isfinite(p[2]):
         record[9] = p[2]
     if p[2] > NEAR and opacity > MIN_ALPHA and squared > 0.0:
@@ -150,13 +150,17 @@ def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record
             color = wp.vec3(0.5, 0.5, 0.5)
             for k in range(count):
                 color += basis[k] * cloud.sh[i, k]
-            conic = wp.vec3(covariance[2], -covariance[1], covariance[0]) / determinant_of(m)
+            determinant = determinant_of(m)
+            conic = wp.vec3(covariance[2], -covariance[1], covariance[0]) / determinant
+            tilt = covariance[1] / covariance[0]
+            summit = covariance[1] / covariance[2] * extent_y
+            waist = wp.sqrt(reach * determinant / covariance[0])
             total = x + y + extent_x + extent_y + conic[0] + conic[1] + conic[2] + color[0] + color[1] + color[2]
-            if wp.isfinite(total):
-                record = record12(
+            if wp.isfinite(total + tilt + summit + waist):
+                record = record16(
                     x, y, conic[0], conic[1], conic[2], opacity,
                     wp.max(color[0], 0.0), wp.max(color[1], 0.0), wp.max(color[2], 0.0),
-                    p[2], extent_x, extent_y,
+                    p[2], extent_x, extent_y, wp.log(opacity), tilt, summit, waist,
                 )  # fmt: skip
     records[i] = record
 
@@ -166,8 +170,8 @@ def project_adjoint(
     first: int,
     cloud: Cloud,
     lens: Lens,
-    records: wp.array(dtype=record12),
-    v_records: wp.array(dtype=record12),
+    records: wp.array(dtype=record16),
+    v_records: wp.array(dtype=record16),
     chunk: int,
     # outputs
     v_cloud: Cloud,

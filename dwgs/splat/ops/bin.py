@@ -8,7 +8,7 @@ import warp as wp
 from torch import Tensor
 
 from dwgs.splat.kernels import bin as kernels
-from dwgs.splat.kernels.project import record12
+from dwgs.splat.kernels.project import record16
 from dwgs.splat.ops.scratch import scratch
 from dwgs.splat.parallel import launch
 from dwgs.splat.splats import View
@@ -48,12 +48,12 @@ class Binned:
 
 
 def bin(records: Tensor, view: View, threads: int) -> Binned:
-    """Sort the records [N, 12] by depth, cut them by tile."""
+    """Sort the records [N, 16] by depth, cut them by tile."""
     n, where = len(records), records.device
     device = wp.device_from_torch(where)
     tiles_across, tiles_down = view.tiles
     tiles = wp.vec2i(tiles_across, tiles_down)
-    in_records = wp.from_torch(records, dtype=record12, return_ctype=True)
+    in_records = wp.from_torch(records, dtype=record16, return_ctype=True)
 
     # the radix sorts want room for twice what they sort
     depths = wp.from_torch(scratch("depth", 2 * n, torch.float32, where))

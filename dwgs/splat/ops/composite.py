@@ -10,7 +10,7 @@ from torch.autograd.function import once_differentiable
 from dwgs.splat.kernels import composite_cpu, composite_cuda
 from dwgs.splat.kernels.canvas import Canvas
 from dwgs.splat.kernels.gather import gather, slot10
-from dwgs.splat.kernels.project import record12
+from dwgs.splat.kernels.project import record16
 from dwgs.splat.ops.bin import Binned, bin
 from dwgs.splat.ops.scratch import scratch
 from dwgs.splat.ops.stream import torch_stream
@@ -67,7 +67,7 @@ class _Composite(torch.autograd.Function):
         slots = scratch("slots", 10 * split * len(binned.gaussian_from_isect), torch.float32, where)
         in_slots = wp.from_torch(slots.view(-1, 10), dtype=slot10, return_ctype=True)
         inputs = [*ctx.inputs, _flat(v_image), trainable, in_slots]
-        v_records = torch.empty(trainable, 12, device=where)
+        v_records = torch.empty(trainable, 16, device=where)
         order = wp.from_torch(binned.gaussian_from_rank, return_ctype=True)
         ends = wp.from_torch(binned.ends, return_ctype=True)
         to_gather = [in_slots, order, ends, split, _records(v_records)]
@@ -99,7 +99,7 @@ def _canvas(view: View, layers: Layers | None) -> Any:
 
 
 def _records(records: Tensor) -> Any:
-    return wp.from_torch(records, dtype=record12, return_ctype=True)
+    return wp.from_torch(records, dtype=record16, return_ctype=True)
 
 
 def _flat(image: Tensor) -> Any:

@@ -39,7 +39,7 @@ class _Project(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, view: View, threads: int, *tensors: Tensor) -> Tensor:
         tensors = tuple(t.detach().contiguous() for t in tensors)
-        records = torch.empty(len(tensors[0]), 12, device=tensors[0].device)
+        records = torch.empty(len(tensors[0]), 16, device=tensors[0].device)
         device = wp.device_from_torch(records.device)
         load(device)
         inputs = [_cloud(tensors), _lens(view, tensors[5]), _records(records)]
@@ -87,4 +87,4 @@ def _lens(view: View, viewmat: Tensor) -> Any:
 
 
 def _records(records: Tensor) -> Any:
-    return wp.from_torch(records, dtype=kernels.record12, return_ctype=True)
+    return wp.from_torch(records, dtype=kernels.record16, return_ctype=True)
