@@ -59,7 +59,7 @@ def distill(
     recipe = GENERATED if is_generated else RECORDED
     frozen = FrozenBackground(background, scene.all_frames())
 
-    sights = find_sights(scene, frozen, insertion, recipe)
+    sights = find_sights(scene, frozen, insertion, recipe, config.threads)
     shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
     body = initialize_body(insertion.vehicle, insertion.size, config.gaussians)
     parts = [

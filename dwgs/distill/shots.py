@@ -62,18 +62,21 @@ class Shot:
         return replace(self.view, viewmat=self.view.viewmat @ old_from_new)
 
 
-def find_sights(scene: Scene, background: FrozenBackground, insertion: Insertion, recipe: Recipe) -> list[Sight]:
+def find_sights(
+    scene: Scene, background: FrozenBackground, insertion: Insertion, recipe: Recipe, threads: int
+) -> list[Sight]:
     """The frames that show the vehicle, camera by camera, in order of time.
 
     Raises `InputError` where no frame does.
     """
-    sights = []
-    for frames in scene.frames.values():
-        for position, frame in enumerate(frames):
-            held_out = position % HOLD_OUT_EVERY == HOLD_OUT_AT
-            sight = _sight(frame, held_out, scene, background, insertion, recipe)
-            if sight is not None:
-                sights.append(sight)
+    frames = [
+        (frame, position % HOLD_OUT_EVERY == HOLD_OUT_AT)
+        for frames in scene.frames.values()
+        for position, frame in enumerate(frames)
+    ]
+    with ThreadPoolExecutor(threads) as pool:
+        found = pool.map(lambda pair: _sight(*pair, scene, background, insertion, recipe), frames)
+        sights = [sight for sight in found if sight is not None]
     if not sights:
         raise InputError(
             f"no frame of '{scene.name}' shows the vehicle: it is behind the cameras, outside their images, "

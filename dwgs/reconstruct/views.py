@@ -90,11 +90,11 @@ def paint_over(
     _, arrives = meet_ground(ground, camera.position, rays.reshape(-1, 3))
     is_road = arrives.reshape(rays.shape[:2]).repeat(PAINT_STRIDE, 0).repeat(PAINT_STRIDE, 1)
     is_road = is_road[: camera.height, : camera.width]
-    image, painted = torch.from_numpy(pixels).float(), pixels
+    image, painted = torch.from_numpy(pixels).float(), pixels.copy()
     for part in (is_road, ~is_road):
         if (hidden & part).any() and (part & ~hidden).any():
             smooth = fill_smoothly(image, torch.from_numpy(part & ~hidden).float(), PAINT_STRIDE)
-            painted = np.where((hidden & part)[..., None], smooth.round().byte().numpy(), painted)
+            painted[hidden & part] = smooth.round().byte().numpy()[hidden & part]
     return painted
 
 

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from conftest import CAMERA_AXES
+from toy_street import CAMERA_AXES
 
 from dwgs.distill.coverage import SECTORS, Coverage
 from dwgs.scene import Camera

@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 import numpy as np
-from conftest import SIZE
+from toy_street import SIZE
 
 from dwgs.distill.region import MARGIN, find_region, visible_fraction
 from dwgs.scene import Track, Trajectory

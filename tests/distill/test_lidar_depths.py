@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from conftest import SIZE
+from toy_street import SIZE
 
 from dwgs.distill.lidar import LidarDepths, carried_depths, static_depths
 from dwgs.distill.region import find_region

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from conftest import SIZE
+from toy_street import SIZE
 
 from dwgs.distill.config import GENERATED
 from dwgs.distill.layers import FrozenBackground
@@ -11,7 +11,7 @@ from dwgs.scene.pose import transform_points
 
 @pytest.fixture
 def sights(toy):
-    return find_sights(toy.scene(), FrozenBackground(toy.background, []), toy.insertion, GENERATED)
+    return find_sights(toy.scene(), FrozenBackground(toy.background, []), toy.insertion, GENERATED, threads=1)
 
 
 def test_the_shadow_lies_on_the_ground_around_the_box(sights):

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+import torch
+from kornia.metrics import ssim as kornia_ssim
 
 from dwgs.metrics import psnr, ssim
 
@@ -16,6 +18,12 @@ def image():
 def test_equal_images_are_infinitely_close(image):
     assert psnr(image, image) == math.inf
     assert ssim(image, image) == pytest.approx(1, abs=1e-5)
+
+
+def test_ssim_is_that_of_the_field(image):
+    noisy = np.clip(image + 0.1, 0, 1)
+    usual = kornia_ssim(*(torch.from_numpy(x).permute(2, 0, 1)[None] for x in (noisy, image)), 11)
+    assert ssim(noisy, image) == pytest.approx(usual.mean().item(), abs=1e-6)
 
 
 def test_psnr_of_a_known_error():
