@@ -1,6 +1,7 @@
 """The default backend: the vehicle's own surface, in the recorded light, on the recorded road. No weights."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,8 @@ from generator.composite.transfer import CELL, REACH, Transfer
 from generator.conditions.conditions import ConditionFrame, Conditions
 from generator.generator import Capabilities
 
+THREADS = 2
+"""Frames made at a time."""
 BORDER = 1 / 120
 """The shadow fades to nothing within this share of the image height from the border of the reactive mask."""
 CLEARANCE = 0.25
@@ -41,20 +44,21 @@ class CompositeGenerator:
         studio = Studio.prepare(scene, insertion, seed)
         total = sum(len(frames) for frames in conditions.frames.values())
         done, edited = 0, {}
-        for number, (name, frames) in enumerate(conditions.frames.items()):
-            taken = []
-            for condition in frames:
-                taken.append(studio.take(condition, (seed, number, condition.frame.index)))
-                done += 1
-                if on_progress:
-                    on_progress(done, total)
-            edited[name] = tuple(taken)
-        return replace(scene, frames=edited)
+        with ThreadPoolExecutor(THREADS) as pool:
+            for number, (name, frames) in enumerate(conditions.frames.items()):
+                seeds = [(seed, number, condition.frame.index) for condition in frames]
+                edited[name] = []
+                for frame in pool.map(studio.take, frames, seeds):
+                    edited[name].append(frame)
+                    done += 1
+                    if on_progress:
+                        on_progress(done, total)
+        return replace(scene, frames={name: tuple(frames) for name, frames in edited.items()})
 
 
 @dataclass(frozen=True)
 class Studio:
-    """All that is the same for every frame of a clip: the vehicle, the light, the camera's noise."""
+    """All that is the same for every frame of a clip: the vehicle, the light, the camera's noise. Thread-safe."""
 
     insertion: Insertion
     lighting: Lighting

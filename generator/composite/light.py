@@ -1,5 +1,7 @@
 """A vehicle and its ground in the light of a street: diffuse light, reflections of a clear coat, shadow."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +19,8 @@ DARKEST = 0.1
 """No shadow takes more than all but this share of the light: lenses flare, streets scatter."""
 HEADING_STEP = 0.02
 """[rad]; a turn by less changes no light that anybody sees."""
+HEADINGS_KEPT = 4
+"""Frames are made a few at a time, and a vehicle may waver between two headings."""
 
 
 class Lighting:
@@ -26,8 +30,8 @@ class Lighting:
         self.transfer = transfer
         self.environment = environment
         self._openness = np.clip(transfer.discs.sum(1), 0, 1)
-        self._diffuse: tuple[float, NDArray[np.float32]] = (np.nan, np.empty(0, np.float32))
-        self._ground: tuple[float, NDArray[np.float32]] = (np.nan, np.empty(0, np.float32))
+        self._diffuse = lru_cache(HEADINGS_KEPT)(self._irradiance)
+        self._ground = lru_cache(HEADINGS_KEPT)(self._ground_light)
 
     def shade(self, pose: NDArray, eye: NDArray, seen: NDArray) -> NDArray[np.float32]:
         """Linear colours [S, 3] of the discs ``seen`` [S] at a pose [4, 4], from ``eye`` [3] in the world.
@@ -53,19 +57,14 @@ class Lighting:
 
     def diffuse(self, pose: NDArray) -> NDArray[np.float32]:
         """What a white surface would look like at each disc [N, 3]."""
-        heading, rotation = _heading(pose)
-        if self._diffuse[0] != heading:
-            self._diffuse = heading, self._irradiance(rotation)
-        return self._diffuse[1]
+        return self._diffuse(_heading(pose))
 
     def ground(self, pose: NDArray) -> NDArray[np.float32]:
         """What the vehicle leaves [X, Y, 3] of the light that the ground around it had, in [0, 1]."""
-        heading, rotation = _heading(pose)
-        if self._ground[0] != heading:
-            self._ground = heading, self._ground_light(rotation)
-        return self._ground[1]
+        return self._ground(_heading(pose))
 
-    def _irradiance(self, rotation: NDArray) -> NDArray[np.float32]:
+    def _irradiance(self, heading: float) -> NDArray[np.float32]:
+        rotation = yaw_rotation(heading).astype(np.float32)
         transfer, environment = self.transfer, self.environment
         toward, up = transfer.directions, len(transfer.directions) // 2
         radiance = environment.radiance(toward @ rotation.T)
@@ -79,7 +78,8 @@ class Lighting:
             total += cosine[:, None] * environment.sun
         return total.astype(np.float32)
 
-    def _ground_light(self, rotation: NDArray) -> NDArray[np.float32]:
+    def _ground_light(self, heading: float) -> NDArray[np.float32]:
+        rotation = yaw_rotation(heading).astype(np.float32)
         transfer, environment = self.transfer, self.environment
         toward = transfer.ground_directions
         radiance = environment.radiance(toward @ rotation.T) * toward[:, 2:]
@@ -94,10 +94,9 @@ class Lighting:
         return np.clip(1 - np.stack(taken, -1) / whole, DARKEST, 1).astype(np.float32)
 
 
-def _heading(pose: NDArray) -> tuple[float, NDArray[np.float32]]:
-    """The heading of a pose, rounded to `HEADING_STEP`, and the rotation about z that has it."""
-    heading = round(float(np.arctan2(pose[1, 0], pose[0, 0])) / HEADING_STEP) * HEADING_STEP
-    return heading, yaw_rotation(heading).astype(np.float32)
+def _heading(pose: NDArray) -> float:
+    """The heading of a pose [rad], rounded to `HEADING_STEP`."""
+    return round(float(np.arctan2(pose[1, 0], pose[0, 0])) / HEADING_STEP) * HEADING_STEP
 
 
 def _bounce(height: NDArray) -> NDArray:

@@ -1,5 +1,6 @@
 """What the recording holds nearer than something: sparse LiDAR, carried to every pixel up to image edges."""
 
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,7 @@ class Recording:
         self.tracks = [t for t in scene.tracks if t.is_vehicle]
         self._sweeps = {sweep.frame_index: sweep for sweep in scene.sweeps}
         self._sorted: dict[int, _Sorted] = {}
+        self._sorting = threading.Lock()
 
     def at(self, camera: Camera, frame_index: int) -> Returns:
         """What a camera has before it when it exposes, world frame; its image may be a small window.
@@ -62,12 +64,18 @@ class Recording:
         Sweeps within `WINDOW` frames count; points on moving vehicles are carried to the camera's time.
         """
         near = [i for i in range(frame_index - WINDOW, frame_index + WINDOW + 1) if i in self._sweeps]
-        self._sorted = {i: self._sorted.get(i) or _sort(self.tracks, self._sweeps[i]) for i in near}
+        with self._sorting:
+            for i in near:
+                if i not in self._sorted:
+                    self._sorted[i] = _sort(self.tracks, self._sweeps[i])
+            for i in [i for i in self._sorted if abs(i - frame_index) > 2 * WINDOW]:
+                del self._sorted[i]
+            window = {i: self._sorted[i] for i in near}
         project = (camera.K @ camera.camera_from_world[:3]).astype(np.float32)
         found = [Returns(np.zeros((0, 3), np.float32), np.zeros(0, np.int64))]
-        found += [_in_view(self._sorted[i].still, project, camera) for i in near]
-        for number in sorted({number for i in near for number in self._sorted[i].moving}):
-            points = np.concatenate([self._sorted[i].moving[number] for i in near if number in self._sorted[i].moving])
+        found += [_in_view(window[i].still, project, camera) for i in near]
+        for number in sorted({number for i in near for number in window[i].moving}):
+            points = np.concatenate([window[i].moving[number] for i in near if number in window[i].moving])
             world = transform_points(self.tracks[number].trajectory.at(camera.time), points).astype(np.float32)
             found.append(_in_view(Returns(world, np.full(len(world), number)), project, camera))
         return Returns(np.concatenate([r.points for r in found]), np.concatenate([r.track for r in found]))
@@ -135,7 +143,7 @@ def nearer(
     samples = np.concatenate([uv, COLOR_SCALE * image[row, column]], 1)
     pixels = np.concatenate([np.stack([columns, rows], 1) + 0.5, COLOR_SCALE * image[rows, columns]], 1)
     count = min(NEIGHBOURS, len(samples))
-    distance, index = KDTree(samples).query(pixels, count, distance_upper_bound=FAR, workers=2)
+    distance, index = KDTree(samples).query(pixels, count, distance_upper_bound=FAR)
     distance, index = distance.reshape(len(pixels), count), index.reshape(len(pixels), count)
     weight = 1 / (distance + 1)  # none for a neighbour too far to be found
     share = (weight * np.append(votes, False)[index]).sum(1) / np.maximum(weight.sum(1), 1e-9)

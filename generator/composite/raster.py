@@ -53,7 +53,7 @@ def draw(
     splats = Splats(*(torch.from_numpy(np.ascontiguousarray(f, np.float32)) for f in fields))
     fine = camera.resize(SUPERSAMPLING * camera.width, SUPERSAMPLING * camera.height)
     with torch.no_grad():
-        image = render(splats, View.from_camera(fine, pose))
+        image = render(splats, View.from_camera(fine, pose), threads=1)
     alpha = image.alpha.numpy()
     gain = np.clip(alpha / SOLID, 0, 1) / np.maximum(alpha, 1e-6)
     coverage = _mean(alpha * gain)
