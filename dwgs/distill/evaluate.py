@@ -33,7 +33,7 @@ class Score:
 def score(shot: Shot, view: View, body: Splats, shadow: Splats, threads: int) -> tuple[Score, NDArray[np.float32]]:
     """Score one frame, and the window [h, w, 3] as it is rendered."""
     with torch.no_grad():
-        vehicle = project(Splats.cat([body, shadow]), view, threads)
+        vehicle = project(Splats.cat([body, shadow]), view, threads=threads)
         rendered = shot.frozen.composite(vehicle, view, threads).rgb * shot.frozen.gain
         alpha = composite(vehicle[: len(body)], view, None, threads).alpha
     frame, region = shot.sight.frame, shot.sight.region

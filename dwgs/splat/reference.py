@@ -20,12 +20,18 @@ from dwgs.splat.constants import (
     SH_C3,
     STOP_TRANSMITTANCE,
 )
-from dwgs.splat.splats import Layers, Rendering, Splats, View
+from dwgs.splat.splats import Layers, Objects, Rendering, Splats, View
 
 
-def render(splats: Splats, view: View, layers: Layers | None = None) -> Rendering:
+def render(
+    splats: Splats,
+    view: View,
+    layers: Layers | None = None,
+    objects: Objects | None = None,
+    antialiased: bool = False,
+) -> Rendering:
     """What `dwgs.splat.render` approximates; tensors of any float type in, float64 out."""
-    alphas, colors = _alphas_and_colors(splats, view)
+    alphas, colors = _alphas_and_colors(splats, view, objects, antialiased)
     start = layers.front_transmittance.double() if layers else torch.ones_like(alphas[0])
     before, end = _transmittances(alphas, start)
     weights = before * alphas * (before >= STOP_TRANSMITTANCE)
@@ -38,12 +44,19 @@ def render(splats: Splats, view: View, layers: Layers | None = None) -> Renderin
     return Rendering(rgb, depth, alpha)
 
 
-def borderline(splats: Splats, view: View, layers: Layers | None = None, margin: float = 1e-3) -> Tensor:
+def borderline(
+    splats: Splats,
+    view: View,
+    layers: Layers | None = None,
+    objects: Objects | None = None,
+    antialiased: bool = False,
+    margin: float = 1e-3,
+) -> Tensor:
     """[H, W] whether a Gaussian comes within a relative ``margin`` of a switching rule: cut, clamp or stop.
 
     There the image or its gradient jumps, and float32 may fall on the other side.
     """
-    alphas, _ = _alphas_and_colors(splats, view, is_cut=False)
+    alphas, _ = _alphas_and_colors(splats, view, objects, antialiased, is_cut=False)
     start = layers.front_transmittance.double() if layers else torch.ones_like(alphas[0])
     before, _ = _transmittances(alphas * (alphas >= MIN_ALPHA), start)
     near_rule = [(alphas / MIN_ALPHA - 1).abs() < margin, (before / STOP_TRANSMITTANCE - 1).abs() < margin]
@@ -60,17 +73,26 @@ def _transmittances(alphas: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
     return torch.stack(before) if before else alphas, light
 
 
-def _alphas_and_colors(splats: Splats, view: View, is_cut: bool = True) -> tuple[Tensor, Tensor]:
+def _alphas_and_colors(
+    splats: Splats, view: View, objects: Objects | None, antialiased: bool, is_cut: bool = True
+) -> tuple[Tensor, Tensor]:
     """Alphas [N, H, W] and (r, g, b, z) [N, 4] of drawable Gaussians, nearest first."""
     means, quats, scales, opacities, sh = (getattr(splats, f.name).double() for f in fields(splats))
-    viewmat = view.viewmat.double()
-    R, t = viewmat[:3, :3], viewmat[:3, 3]
+    viewmats = view.viewmat.double().expand(len(means), 4, 4)
+    if objects is not None:
+        owner = torch.arange(len(objects.counts)).repeat_interleave(torch.tensor(objects.counts))
+        viewmats = viewmats @ objects.world_from_object.double()[owner]
+    R, t = viewmats[:, :3, :3], viewmats[:, :3, 3]
+    points = torch.einsum("nij,nj->ni", R, means) + t
     finite = torch.stack([x.flatten(1).isfinite().all(1) for x in (means, quats, scales, opacities[:, None], sh)])
-    drawn = finite.all(0) & ((means @ R.T + t)[:, 2] > NEAR) & (opacities > MIN_ALPHA)
-    means, quats, scales, opacities, sh = (x[drawn] for x in (means, quats, scales, opacities, sh))
-    points = means @ R.T + t
+    drawn = finite.all(0) & (points[:, 2] > NEAR) & (opacities > MIN_ALPHA)
+    means, quats, scales, opacities, sh, points, R, t = (
+        x[drawn] for x in (means, quats, scales, opacities, sh, points, R, t)
+    )
     order = points[:, 2].argsort(stable=True)
-    means, quats, scales, opacities, sh, points = (x[order] for x in (means, quats, scales, opacities, sh, points))
+    means, quats, scales, opacities, sh, points, R, t = (
+        x[order] for x in (means, quats, scales, opacities, sh, points, R, t)
+    )
 
     fx, fy, cx, cy = view.intrinsics
     x, y, z = points.unbind(1)
@@ -78,7 +100,10 @@ def _alphas_and_colors(splats: Splats, view: View, is_cut: bool = True) -> tuple
     u, v = (x / z).clamp(-MAX_TANGENT, MAX_TANGENT), (y / z).clamp(-MAX_TANGENT, MAX_TANGENT)
     J = torch.stack([fx / z, zero, -fx * u / z, zero, fy / z, -fy * v / z], 1).view(-1, 2, 3)
     M = J @ R @ _rotation(quats) * scales[:, None]
-    covariances = M @ M.mT + LOW_PASS * torch.eye(2, dtype=M.dtype)
+    sharp = M @ M.mT
+    covariances = sharp + LOW_PASS * torch.eye(2, dtype=M.dtype)
+    if antialiased:
+        opacities = opacities * (sharp.det() / covariances.det()).clamp_min(1e-12).sqrt()
     means2d = torch.stack([fx * x / z + cx, fy * y / z + cy], 1)
 
     rows = torch.arange(view.height, dtype=M.dtype) + 0.5
@@ -91,7 +116,7 @@ def _alphas_and_colors(splats: Splats, view: View, is_cut: bool = True) -> tuple
     if is_cut:
         alphas = alphas * (alphas >= MIN_ALPHA)
 
-    rays = means + R.T @ t
+    rays = means + torch.einsum("nij,ni->nj", R, t)
     directions = rays / rays.norm(dim=1, keepdim=True)
     basis = _sh_basis(directions)[:, : sh.shape[1]]
     colors = (0.5 + torch.einsum("nk,nkc->nc", basis, sh)).clamp_min(0)

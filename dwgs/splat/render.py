@@ -2,9 +2,19 @@
 
 from dwgs.splat.ops.composite import composite
 from dwgs.splat.ops.project import project
-from dwgs.splat.splats import Layers, Rendering, Splats, View
+from dwgs.splat.splats import Layers, Objects, Rendering, Splats, View
 
 
-def render(splats: Splats, view: View, layers: Layers | None = None, threads: int = 2) -> Rendering:
-    """The image of ``splats`` in ``view``; a gradient flows to every field of both."""
-    return composite(project(splats, view, threads), view, layers, threads)
+def render(
+    splats: Splats,
+    view: View,
+    layers: Layers | None = None,
+    objects: Objects | None = None,
+    antialiased: bool = False,
+    threads: int = 2,
+) -> Rendering:
+    """The image of ``splats`` in ``view``; a gradient flows to every field of both, and to the objects' poses.
+
+    See `project` for ``objects`` and ``antialiased``, `composite` for ``layers``.
+    """
+    return composite(project(splats, view, objects, antialiased, threads), view, layers, threads)

@@ -94,6 +94,44 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
+class Objects:
+    """A scene of rigid bodies in one cloud: whose Gaussians are whose, and where each stands."""
+
+    counts: tuple[int, ...]
+    """[K] Gaussians of each object; those of the first come first."""
+    world_from_object: Tensor
+    """[K, 4, 4] poses; may require a gradient."""
+
+    def __post_init__(self) -> None:
+        if self.world_from_object.shape != (len(self.counts), 4, 4) or min(self.counts, default=0) < 0:
+            raise InputError(
+                f"each object has a count and a pose [4, 4], got counts {self.counts} "
+                f"and poses {tuple(self.world_from_object.shape)}"
+            )
+
+    @cached_property
+    def object_from_gaussian(self) -> Tensor:
+        """[N] int32; empty where there is only one object."""
+        where = self.world_from_object.device
+        if len(self.counts) == 1:
+            return torch.zeros(0, dtype=torch.int32, device=where)
+        numbers = torch.arange(len(self.counts), dtype=torch.int32, device=where)
+        return numbers.repeat_interleave(torch.tensor(self.counts, device=where))
+
+    def tasks(self, most: int) -> tuple[Tensor, Tensor]:
+        """Work cut into spans of at most ``most`` Gaussians of one object: object [T], first and end [T, 2] int32."""
+        where = self.world_from_object.device
+        counts = torch.tensor(self.counts)
+        pieces = -(-counts // most)
+        owner = torch.arange(len(counts)).repeat_interleave(pieces)
+        number = torch.arange(len(owner)) - (pieces.cumsum(0) - pieces)[owner]
+        start = counts.cumsum(0) - counts
+        first = start[owner] + number * most
+        end = torch.minimum(first + most, (start + counts)[owner])
+        return owner.to(where), torch.stack([first, end], 1).int().contiguous().to(where)
+
+
+@dataclass(frozen=True, eq=False)
 class Layers:
     """A frozen scene cut in two by centre depth: what lies in front of the Gaussians to come, and behind."""
 
@@ -187,6 +225,10 @@ class Rendering:
     def expected_depth(self) -> Tensor:
         """[H, W] mean centre depth [m] of what the pixel sees."""
         return self.depth / self.alpha.clamp_min(1e-10)
+
+    def over(self, background: Tensor) -> Tensor:
+        """[H, W, 3] the colours over a ``background`` of that shape, or of one colour [3]."""
+        return self.rgb + (1 - self.alpha)[..., None] * background
 
 
 def write_planes(out: Tensor, rgb: Tensor | None, depth: Tensor | None, last: Tensor | None) -> None:

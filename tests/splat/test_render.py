@@ -15,8 +15,8 @@ IMAGE_TOLERANCE = 5e-6
 """Worst seen 1.6e-6: float32, and an exponential good to 1e-6."""
 DEPTH_TOLERANCE = 5e-5
 """The same in metres, at depths around 6 m; worst seen 1.1e-5."""
-GRADIENT_TOLERANCE = 1e-5
-"""Relative L2; worst seen 2.7e-6, by the camera pose."""
+GRADIENT_TOLERANCE = 2e-6
+"""Relative L2."""
 MOVED_TOLERANCE = 1e-4
 """Between two float32 projections of the same scene, wherever no pixel sits on a cut; worst seen 2e-5."""
 

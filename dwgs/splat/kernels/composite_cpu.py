@@ -68,14 +68,15 @@ _PRELUDE = f"""
     }};
 
     // exp(8 u) for u in [-0.7, 0], all that the cut at 1/255 lets pass: the eighth power of a polynomial fitted to
-    // exp there, good to 1e-7 (its Taylor series would be good to 1e-4); elsewhere the result is any number
+    // exp there, good to 2e-9 (its Taylor series would be good to 1e-5); elsewhere the result is any number
     auto exp8 = [&](block u) -> block {{
         #pragma clang fp contract(on)
-        block e = u * 0.005846760179652792f + 0.03977256183882582f;
-        e = e * u + 0.165973975498052f;
-        e = e * u + 0.4998825873621815f;
-        e = e * u + 0.9999925393133835f;
-        e = e * u + 0.9999999205129144f;
+        block e = u * 0.0009785861979464097f + 0.007956781442508665f;
+        e = e * u + 0.041488791404835496f;
+        e = e * u + 0.16662265143851523f;
+        e = e * u + 0.4999947266087482f;
+        e = e * u + 0.9999997586655688f;
+        e = e * u + 0.9999999981506821f;
         e *= e;
         e *= e;
         return e * e;

@@ -34,12 +34,25 @@ class Cloud:
 
 @wp.struct
 class Lens:
-    """The camera: ``viewmat`` [1] is camera_from_splats, intrinsics are fx, fy, cx, cy [px]."""
+    """The camera: intrinsics are fx, fy, cx, cy [px]; ``viewmats`` [K] are camera_from_object.
 
-    viewmat: wp.array(dtype=wp.mat44)
+    ``object_from_gaussian`` [N] names the object of each Gaussian; where it is empty, all belong to the first.
+    """
+
+    viewmats: wp.array(dtype=wp.mat44)
+    object_from_gaussian: wp.array(dtype=int)
     intrinsics: wp.vec4
     width: float
     height: float
+    antialiased: int
+
+
+@wp.func
+def viewmat_of(lens: Lens, gaussian: int) -> wp.mat44:
+    """camera_from_object of a Gaussian's object."""
+    if lens.object_from_gaussian.shape[0] > 0:
+        return lens.viewmats[lens.object_from_gaussian[gaussian]]
+    return lens.viewmats[0]
 
 
 @wp.func
@@ -114,11 +127,21 @@ def determinant_of(m: mat23) -> float:
     return wp.dot(minors, minors) + LOW_PASS * (wp.dot(a, a) + wp.dot(b, b)) + LOW_PASS * LOW_PASS
 
 
+@wp.func
+def compensation_of(m: mat23) -> float:
+    """What the low-pass must leave of the opacity so that the Gaussian sheds no more light than without it.
+
+    sqrt(det(m m^T) / det(m m^T + low-pass)): Mip-Splatting (Yu et al. 2024), its 2D filter.
+    """
+    minors = wp.cross(m[0], m[1])
+    return wp.length(minors) / wp.sqrt(determinant_of(m))
+
+
 @wp.kernel
 def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record16)):
     """One record per Gaussian; radii stay zero where it is behind, outside, too faint or not finite."""
     i = first + wp.tid()
-    viewmat = lens.viewmat[0]
+    viewmat = viewmat_of(lens, i)
     R = rotation_of(viewmat)
     t = translation_of(viewmat)
     fx, fy, cx, cy = lens.intrinsics[0], lens.intrinsics[1], lens.intrinsics[2], lens.intrinsics[3]
@@ -132,14 +155,18 @@ def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record
     if wp.isfinite(p[2]):
         record[9] = p[2]
     if p[2] > NEAR and opacity > MIN_ALPHA and squared > 0.0:
-        x = fx * p[0] / p[2] + cx
-        y = fy * p[1] / p[2] + cy
+        # in float64: where a centre lies to a millionth of a pixel decides how good the gradients are
+        q = wp.mat33d(R) @ wp.vec3d(mean) + wp.vec3d(t)
+        x = float(wp.float64(fx) * q[0] / q[2] + wp.float64(cx))
+        y = float(wp.float64(fy) * q[1] / q[2] + wp.float64(cy))
         m = jacobian(p, fx, fy) @ R @ rotation_from_quat(quat / wp.sqrt(squared)) @ wp.diag(cloud.scales[i])
         covariance = covariance_of(m)
+        if lens.antialiased != 0:
+            opacity *= compensation_of(m)
         reach = 2.0 * wp.log(opacity / MIN_ALPHA)
         extent_x = wp.sqrt(reach * covariance[0])
         extent_y = wp.sqrt(reach * covariance[2])
-        inside = x + extent_x > 0.0 and x - extent_x < lens.width
+        inside = reach > 0.0 and x + extent_x > 0.0 and x - extent_x < lens.width
         inside = inside and y + extent_y > 0.0 and y - extent_y < lens.height
         if inside:
             count = cloud.sh.shape[1]
@@ -172,14 +199,15 @@ def project_adjoint(
     lens: Lens,
     records: wp.array(dtype=record16),
     v_records: wp.array(dtype=record16),
-    chunk: int,
+    spans: wp.array(dtype=wp.vec2i),
     # outputs
     v_cloud: Cloud,
     v_viewmats: wp.array(dtype=wp.mat44),
 ):
-    """Gradients of ``chunk`` Gaussians per task; each task sums its own share of the camera's gradient."""
+    """Gradients of a span of Gaussians per task, all of one object; each sums its share of the pose's gradient."""
     task = first + wp.tid()
-    viewmat = lens.viewmat[0]
+    span = spans[task]
+    viewmat = viewmat_of(lens, span[0])
     R = rotation_of(viewmat)
     Rt = wp.transpose(R)
     t = translation_of(viewmat)
@@ -189,7 +217,7 @@ def project_adjoint(
     v_R = wp.mat33()
     v_t = wp.vec3()
     v_position = wp.vec3()
-    for i in range(task * chunk, wp.min((task + 1) * chunk, cloud.means.shape[0])):
+    for i in range(span[0], span[1]):
         record = records[i]
         if record[10] > 0.0:
             v = v_records[i]
@@ -229,6 +257,18 @@ def project_adjoint(
             Q = wp.mat22(record[2], record[3], record[3], record[4])
             v_Q = wp.mat22(v[2], 0.5 * v[3], 0.5 * v[3], v[4])
             v_covariance = -1.0 * (Q @ v_Q @ Q)
+            v_opacity = v[5]
+            if lens.antialiased != 0:
+                # d sqrt(det0 / det) = (adj(S0) / sqrt(det0 det) - compensation Q) / 2 dS
+                m = P @ wp.diag(scale)
+                minors = wp.cross(m[0], m[1])
+                det0 = wp.dot(minors, minors)
+                det = determinant_of(m)
+                compensation = wp.sqrt(det0 / det)
+                v_compensation = 0.5 * v_opacity * cloud.opacities[i]
+                adj0 = wp.mat22(wp.dot(m[1], m[1]), -wp.dot(m[0], m[1]), -wp.dot(m[0], m[1]), wp.dot(m[0], m[0]))
+                v_covariance += v_compensation * (adj0 / wp.sqrt(det0 * det) - compensation * Q)
+                v_opacity *= compensation
             v_P = 2.0 * (v_covariance @ P @ wp.diag(wp.cw_mul(scale, scale)))
             v_m = 2.0 * (v_covariance @ P @ wp.diag(scale))
             v_scale = wp.vec3()
@@ -237,7 +277,6 @@ def project_adjoint(
             v_unit = rotation_from_quat_adjoint(unit, wp.transpose(JR) @ v_P)
             v_JR = v_P @ wp.transpose(Rq)
             v_J = v_JR @ Rt
-            v_R += wp.transpose(J) @ v_JR
 
             # centre
             u = p[0] * rz
@@ -252,12 +291,12 @@ def project_adjoint(
             v_z = v[9] - rz * (v_u * u + v_w * w + rz * v_rz)
             v_p = wp.vec3(v_u * rz, v_w * rz, v_z)
             v_t += v_p
-            v_R += wp.outer(v_p, mean)
+            v_R += wp.transpose(J) @ v_JR + wp.outer(v_p, mean)
 
             v_cloud.means[i] = Rt @ v_p + v_ray
             v_cloud.quats[i] = (v_unit - unit * wp.dot(unit, v_unit)) / norm
             v_cloud.scales[i] = v_scale
-            v_cloud.opacities[i] = v[5]
+            v_cloud.opacities[i] = v_opacity
         else:
             v_cloud.means[i] = wp.vec3()
             v_cloud.quats[i] = wp.vec4()

@@ -12,18 +12,27 @@ from dwgs.scene import InputError
 from dwgs.splat.kernels import project as kernels
 from dwgs.splat.ops.stream import torch_stream
 from dwgs.splat.parallel import CHUNKS_PER_THREAD, launch, load
-from dwgs.splat.splats import Projected, Splats, View
+from dwgs.splat.splats import Objects, Projected, Splats, View
 
-_GAUSSIANS_PER_TASK = {"cpu": 1024, "cuda": 1}
-"""Over so many the adjoint sums the camera's gradient at once; fixed, so that threads do not change sums."""
+_GAUSSIANS_PER_TASK = {"cpu": 256, "cuda": 32}
+"""Over so many the adjoint sums the pose's gradient at once; fixed, so that threads do not change sums."""
 
 
-def project(splats: Splats, view: View, threads: int = 2) -> Projected:
-    """One record per Gaussian; a gradient flows to every field of ``splats`` and to ``view.viewmat``.
+def project(
+    splats: Splats, view: View, objects: Objects | None = None, antialiased: bool = False, threads: int = 2
+) -> Projected:
+    """One record per Gaussian; a gradient flows to ``splats``, to ``view.viewmat`` and to the objects' poses.
 
-    Colour is evaluated in the direction from the camera to the mean, in the splats' own frame, and its
-    gradient reaches means and camera through that direction too. Gaussians that are not finite are not
+    Colour is evaluated in the direction from the camera to the mean, in the frame of the Gaussian's own object,
+    and its gradient reaches means and poses through that direction too. Gaussians that are not finite are not
     drawn.
+
+    Args:
+        splats: In the world, or each in the frame of its object.
+        view: The camera.
+        objects: Whose Gaussians are whose, and where they stand; by default all belong to the world.
+        antialiased: Whether what is thinner than a pixel is fainter instead of fatter (Mip-Splatting's 2D filter).
+        threads: On a CPU.
     """
     tensors = (splats.means, splats.quats, splats.scales, splats.opacities, splats.sh, view.viewmat)
     for tensor in tensors:
@@ -32,20 +41,27 @@ def project(splats: Splats, view: View, threads: int = 2) -> Projected:
                 f"splats and viewmat are float32 on one device, got {tensor.dtype} on {tensor.device} "
                 f"and a viewmat on {view.viewmat.device}"
             )
-    return Projected(_Project.apply(view, threads, *tensors))
+    if objects is None:
+        objects = Objects((len(splats),), torch.eye(4, device=view.viewmat.device)[None])
+        viewmats = view.viewmat[None]
+    else:
+        viewmats = view.viewmat @ objects.world_from_object
+    if sum(objects.counts) != len(splats):
+        raise InputError(f"every Gaussian belongs to one object: {len(splats)} Gaussians, {objects.counts} in objects")
+    return Projected(_Project.apply(view, objects, antialiased, threads, *tensors[:5], viewmats))
 
 
 class _Project(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, view: View, threads: int, *tensors: Tensor) -> Tensor:
+    def forward(ctx: Any, view: View, objects: Objects, antialiased: bool, threads: int, *tensors: Tensor) -> Tensor:
         tensors = tuple(t.detach().contiguous() for t in tensors)
         records = torch.empty(len(tensors[0]), 16, device=tensors[0].device)
         device = wp.device_from_torch(records.device)
         load(device)
-        inputs = [_cloud(tensors), _lens(view, tensors[5]), _records(records)]
+        inputs = [_cloud(tensors), _lens(view, objects, antialiased, tensors[5]), _records(records)]
         with torch_stream(records.device):
             launch(kernels.project, len(records), inputs, device, threads)
-        ctx.inputs, ctx.threads = inputs, threads
+        ctx.inputs, ctx.objects, ctx.threads = inputs, objects, threads
         ctx.save_for_backward(*tensors, records)
         return records
 
@@ -54,17 +70,19 @@ class _Project(torch.autograd.Function):
     def backward(ctx: Any, *grad_outputs: Tensor):  # pyright: ignore[reportIncompatibleMethodOverride]
         *tensors, records = (t.detach() for t in ctx.saved_tensors)
         v_records = grad_outputs[0].contiguous()
-        per_task = _GAUSSIANS_PER_TASK[records.device.type]
-        tasks = -(-len(records) // per_task)
+        object_from_task, spans = ctx.objects.tasks(_GAUSSIANS_PER_TASK[records.device.type])
+        tasks = len(spans)
         v_tensors = [torch.empty_like(t) for t in tensors[:5]]
-        v_viewmats = torch.empty(tasks, 4, 4, device=records.device)
-        in_viewmats = wp.from_torch(v_viewmats, dtype=wp.mat44, return_ctype=True)
-        inputs = [*ctx.inputs, _records(v_records), per_task, _cloud(v_tensors), in_viewmats]
+        v_spans = torch.empty(tasks, 4, 4, device=records.device)
+        in_spans = wp.from_torch(spans, dtype=wp.vec2i, return_ctype=True)
+        out_spans = wp.from_torch(v_spans, dtype=wp.mat44, return_ctype=True)
+        inputs = [*ctx.inputs, _records(v_records), in_spans, _cloud(v_tensors), out_spans]
         chunks = max(1, min(tasks, ctx.threads * CHUNKS_PER_THREAD))
         bounds = [tasks * k // chunks for k in range(chunks + 1)]
         with torch_stream(records.device):
             launch(kernels.project_adjoint, bounds, inputs, wp.device_from_torch(records.device), ctx.threads)
-        return None, None, *v_tensors, v_viewmats.sum(0)
+        v_viewmats = torch.zeros_like(ctx.objects.world_from_object).index_add_(0, object_from_task, v_spans)
+        return None, None, None, None, *v_tensors, v_viewmats.float()
 
 
 def _cloud(tensors: Sequence[Tensor]) -> Any:
@@ -78,11 +96,13 @@ def _cloud(tensors: Sequence[Tensor]) -> Any:
     return cloud
 
 
-def _lens(view: View, viewmat: Tensor) -> Any:
+def _lens(view: View, objects: Objects, antialiased: bool, viewmats: Tensor) -> Any:
     lens = kernels.Lens()
-    lens.viewmat = wp.from_torch(viewmat.view(1, 4, 4), dtype=wp.mat44)
+    lens.viewmats = wp.from_torch(viewmats, dtype=wp.mat44)
+    lens.object_from_gaussian = wp.from_torch(objects.object_from_gaussian)
     lens.intrinsics = wp.vec4(*view.intrinsics)
     lens.width, lens.height = float(view.width), float(view.height)
+    lens.antialiased = int(antialiased)
     return lens
 
 
