@@ -29,9 +29,12 @@ def render(
     layers: Layers | None = None,
     objects: Objects | None = None,
     antialiased: bool = False,
+    features: Tensor | None = None,
 ) -> Rendering:
-    """What `dwgs.splat.render` approximates; tensors of any float type in, float64 out."""
-    alphas, colors = _alphas_and_colors(splats, view, objects, antialiased)
+    """What `dwgs.splat.render` approximates, for one view; tensors of any float type in, float64 out."""
+    if features is None:
+        features = splats.means.new_zeros(len(splats), 0)
+    alphas, colors = _alphas_and_colors(splats, view, objects, antialiased, features)
     start = layers.front_transmittance.double() if layers else torch.ones_like(alphas[0])
     before, end = _transmittances(alphas, start)
     weights = before * alphas * (before >= STOP_TRANSMITTANCE)
@@ -41,7 +44,7 @@ def render(
         rgb = layers.front_rgb + rgb + end[..., None] * layers.back_rgb
         depth = layers.front_depth + depth + end * layers.back_depth
         alpha = 1 - end * (1 - layers.back_alpha)
-    return Rendering(rgb, depth, alpha)
+    return Rendering(rgb, depth, alpha, image[..., 4:])
 
 
 def borderline(
@@ -56,7 +59,8 @@ def borderline(
 
     There the image or its gradient jumps, and float32 may fall on the other side.
     """
-    alphas, _ = _alphas_and_colors(splats, view, objects, antialiased, is_cut=False)
+    nothing = splats.means.new_zeros(len(splats), 0)
+    alphas, _ = _alphas_and_colors(splats, view, objects, antialiased, nothing, is_cut=False)
     start = layers.front_transmittance.double() if layers else torch.ones_like(alphas[0])
     before, _ = _transmittances(alphas * (alphas >= MIN_ALPHA), start)
     near_rule = [(alphas / MIN_ALPHA - 1).abs() < margin, (before / STOP_TRANSMITTANCE - 1).abs() < margin]
@@ -74,9 +78,9 @@ def _transmittances(alphas: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _alphas_and_colors(
-    splats: Splats, view: View, objects: Objects | None, antialiased: bool, is_cut: bool = True
+    splats: Splats, view: View, objects: Objects | None, antialiased: bool, features: Tensor, is_cut: bool = True
 ) -> tuple[Tensor, Tensor]:
-    """Alphas [N, H, W] and (r, g, b, z) [N, 4] of drawable Gaussians, nearest first."""
+    """Alphas [N, H, W] and (r, g, b, z, features) [N, 4 + F] of drawable Gaussians, nearest first."""
     means, quats, scales, opacities, sh = (getattr(splats, f.name).double() for f in fields(splats))
     viewmats = view.viewmat.double().expand(len(means), 4, 4)
     if objects is not None:
@@ -86,12 +90,12 @@ def _alphas_and_colors(
     points = torch.einsum("nij,nj->ni", R, means) + t
     finite = torch.stack([x.flatten(1).isfinite().all(1) for x in (means, quats, scales, opacities[:, None], sh)])
     drawn = finite.all(0) & (points[:, 2] > NEAR) & (opacities > MIN_ALPHA)
-    means, quats, scales, opacities, sh, points, R, t = (
-        x[drawn] for x in (means, quats, scales, opacities, sh, points, R, t)
+    means, quats, scales, opacities, sh, points, R, t, features = (
+        x[drawn] for x in (means, quats, scales, opacities, sh, points, R, t, features.double())
     )
     order = points[:, 2].argsort(stable=True)
-    means, quats, scales, opacities, sh, points, R, t = (
-        x[order] for x in (means, quats, scales, opacities, sh, points, R, t)
+    means, quats, scales, opacities, sh, points, R, t, features = (
+        x[order] for x in (means, quats, scales, opacities, sh, points, R, t, features)
     )
 
     fx, fy, cx, cy = view.intrinsics
@@ -120,7 +124,7 @@ def _alphas_and_colors(
     directions = rays / rays.norm(dim=1, keepdim=True)
     basis = _sh_basis(directions)[:, : sh.shape[1]]
     colors = (0.5 + torch.einsum("nk,nkc->nc", basis, sh)).clamp_min(0)
-    return alphas, torch.cat([colors, z[:, None]], 1)
+    return alphas, torch.cat([colors, z[:, None], features], 1)
 
 
 def _rotation(quats: Tensor) -> Tensor:

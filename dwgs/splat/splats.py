@@ -1,5 +1,6 @@
 """What the splatter takes and gives: clouds, views, layers, records, images."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -62,12 +63,12 @@ class Splats:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A pinhole camera as a cloud of Gaussians meets it."""
+    """A pinhole camera as a cloud of Gaussians meets it; or V of them with images of one size."""
 
     viewmat: Tensor
-    """[4, 4] ``camera_from_splats``; may require a gradient."""
-    intrinsics: tuple[float, float, float, float]
-    """fx, fy, cx, cy [px]; pixel centres at +0.5."""
+    """[4, 4] ``camera_from_splats``, [V, 4, 4] in a batch; may require a gradient."""
+    intrinsics: tuple[float, float, float, float] | tuple[tuple[float, float, float, float], ...]
+    """fx, fy, cx, cy [px]; pixel centres at +0.5. V of them in a batch."""
     width: int
     """[px]."""
     height: int
@@ -86,9 +87,38 @@ class View:
         tensor = torch.tensor(viewmat, dtype=torch.float32, device=device)
         return View(tensor, intrinsics, camera.width, camera.height)
 
+    @staticmethod
+    def batch(views: "Sequence[View]") -> "View":
+        """Views of one size as one; what is rendered of it has one image more per view, in front."""
+        sizes = {(view.width, view.height) for view in views}
+        if len(sizes) != 1 or any(view.is_batch for view in views):
+            raise InputError(f"a batch holds single views of one size, got {len(views)} of sizes {sorted(sizes)}")
+        first = views[0]
+        return View(
+            torch.stack([view.viewmat for view in views]),
+            tuple(lens for view in views for lens in view.lenses),
+            first.width,
+            first.height,
+        )
+
+    @property
+    def is_batch(self) -> bool:
+        """Whether images and records have a first axis for the views."""
+        return self.viewmat.ndim == 3
+
+    @property
+    def viewmats(self) -> Tensor:
+        """[V, 4, 4], of a single view too."""
+        return self.viewmat if self.is_batch else self.viewmat[None]
+
+    @property
+    def lenses(self) -> tuple:
+        """[V] times fx, fy, cx, cy, of a single view too."""
+        return self.intrinsics if self.is_batch else (self.intrinsics,)
+
     @property
     def tiles(self) -> tuple[int, int]:
-        """Tiles across and down."""
+        """Tiles across and down one image."""
         height, width = whole_tiles(self.height, self.width)
         return width // TILE, height // TILE
 
@@ -118,22 +148,13 @@ class Objects:
         numbers = torch.arange(len(self.counts), dtype=torch.int32, device=where)
         return numbers.repeat_interleave(torch.tensor(self.counts, device=where))
 
-    def tasks(self, most: int) -> tuple[Tensor, Tensor]:
-        """Work cut into spans of at most ``most`` Gaussians of one object: object [T], first and end [T, 2] int32."""
-        where = self.world_from_object.device
-        counts = torch.tensor(self.counts)
-        pieces = -(-counts // most)
-        owner = torch.arange(len(counts)).repeat_interleave(pieces)
-        number = torch.arange(len(owner)) - (pieces.cumsum(0) - pieces)[owner]
-        start = counts.cumsum(0) - counts
-        first = start[owner] + number * most
-        end = torch.minimum(first + most, (start + counts)[owner])
-        return owner.to(where), torch.stack([first, end], 1).int().contiguous().to(where)
-
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """A frozen scene cut in two by centre depth: what lies in front of the Gaussians to come, and behind."""
+    """A frozen scene cut in two by centre depth: what lies in front of the Gaussians to come, and behind.
+
+    For a batch of views every image has one axis more in front.
+    """
 
     front_rgb: Tensor
     """[H, W, 3] premultiplied."""
@@ -156,18 +177,21 @@ class Layers:
 
     @cached_property
     def front(self) -> Tensor:
-        """[5, H', W'] r, g, b, depth, transmittance, whole tiles; transmittance 0 outside the image."""
+        """[..., 5, H', W'] r, g, b, depth, transmittance, whole tiles; transmittance 0 outside the image."""
         return planes(self.front_rgb, self.front_depth, self.front_transmittance)
 
     @cached_property
     def back(self) -> Tensor:
-        """[5, H', W'] r, g, b, depth, alpha, whole tiles."""
+        """[..., 5, H', W'] r, g, b, depth, alpha, whole tiles."""
         return planes(self.back_rgb, self.back_depth, self.back_alpha)
 
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """Gaussians as one image sees them, one record each; not drawn where the radii are zero."""
+    """Gaussians as a view sees them, one record each; not drawn where the radii are zero.
+
+    For a batch of views all has one axis more in front.
+    """
 
     records: Tensor
     """[N, 16] mean x, y [px]; conic xx, xy, yy [px^-2]; opacity; r, g, b; depth z [m]; extent x, y [px]; ln opacity;
@@ -179,11 +203,11 @@ class Projected:
     """
 
     def __len__(self) -> int:
-        return len(self.records)
+        return self.records.shape[-2]
 
     def __getitem__(self, index) -> "Projected":
         """The records that a mask or index over [N] selects."""
-        return Projected(self.records[index])
+        return Projected(self.records[..., index, :])
 
     def detach(self) -> "Projected":
         """The same records without a gradient."""
@@ -192,27 +216,27 @@ class Projected:
     @property
     def means2d(self) -> Tensor:
         """[N, 2] centres [px]."""
-        return self.records[:, 0:2]
+        return self.records[..., 0:2]
 
     @property
     def depths(self) -> Tensor:
         """[N] centre depths z [m], of Gaussians that are not drawn too (0 where not finite)."""
-        return self.records[:, 9]
+        return self.records[..., 9]
 
     @property
     def radii(self) -> Tensor:
         """[N, 2] half extents [px]; zero: not drawn."""
-        return self.records[:, 10:12]
+        return self.records[..., 10:12]
 
     @property
     def visible(self) -> Tensor:
         """[N] whether drawn."""
-        return self.records[:, 10] > 0
+        return self.records[..., 10] > 0
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """An image of Gaussians."""
+    """An image of Gaussians; of a batch of views, all has one axis more in front."""
 
     rgb: Tensor
     """[H, W, 3], premultiplied: over black, or over ``Layers.back_rgb``."""
@@ -220,6 +244,8 @@ class Rendering:
     """[H, W] sum of weight times centre depth [m]."""
     alpha: Tensor
     """[H, W] sum of weights."""
+    features: Tensor
+    """[H, W, F] sums of weight times feature, of the Gaussians drawn between any layers; F may be 0."""
 
     @property
     def expected_depth(self) -> Tensor:
@@ -231,21 +257,13 @@ class Rendering:
         return self.rgb + (1 - self.alpha)[..., None] * background
 
 
-def write_planes(out: Tensor, rgb: Tensor | None, depth: Tensor | None, last: Tensor | None) -> None:
-    """Fill ``out`` [5, H', W'] of whole tiles from [H, W, 3], [H, W], [H, W]; zeros outside and for None."""
-    images = (None if rgb is None else rgb.permute(2, 0, 1), depth, last)
-    for plane, image in zip((out[:3], out[3], out[4]), images, strict=True):
-        height, width = (0, 0) if image is None else image.shape[-2:]
-        plane[..., height:, :] = 0
-        plane[..., :height, width:] = 0
-        if image is not None:
-            plane[..., :height, :width] = image
-
-
 def planes(rgb: Tensor, depth: Tensor, last: Tensor) -> Tensor:
-    """The same in memory of its own."""
-    out = torch.empty(5, *whole_tiles(*depth.shape), device=rgb.device)
-    write_planes(out, rgb, depth, last)
+    """[..., 5, H', W'] of whole tiles from [..., H, W, 3] and twice [..., H, W]; zeros outside."""
+    height, width = depth.shape[-2:]
+    out = rgb.new_zeros(*depth.shape[:-2], 5, *whole_tiles(height, width))
+    out[..., :3, :height, :width] = rgb.movedim(-1, -3)
+    out[..., 3, :height, :width] = depth
+    out[..., 4, :height, :width] = last
     return out
 
 

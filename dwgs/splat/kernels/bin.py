@@ -38,6 +38,7 @@ def tile_span(center: float, extent: float, tiles: int) -> wp.vec2i:
 def find_tiles(
     first: int,
     records: wp.array(dtype=record16),
+    per_view: int,
     tiles: wp.vec2i,
     # outputs
     depths: wp.array(dtype=float),
@@ -53,7 +54,8 @@ def find_tiles(
         depth = record[9]
         across = tile_span(record[0], record[10], tiles[0])
         down = tile_span(record[1], record[11], tiles[1])
-        area = wp.vec4i(across[0], across[1], down[0], down[1])
+        above = i / per_view * tiles[1]  # images lie one under the other
+        area = wp.vec4i(across[0], across[1], above + down[0], above + down[1])
     depths[i] = depth
     order[i] = i
     areas[i] = area

@@ -3,7 +3,8 @@
 
     w_i = T_i alpha_i,   T_{i+1} = T_i - w_i,   image = front + sum_i w_i c_i + T_end back
 
-Images are [5, H', W'] planes of whole tiles: r, g, b, depth, alpha; alpha is composited like a colour of 1.
+Images are [V, 5 + F, H', W'] planes of whole tiles: r, g, b, depth, alpha, features; alpha is composited like a
+colour of 1. Tiles are numbered view by view; so are the Gaussians, of which every view has as many.
 
 The adjoint walks front to back as well. With q_i = v . c_i, what the pixel gains from Gaussian i, and R_i =
 v . (image behind i), known in full at the start and spent Gaussian by Gaussian,
@@ -16,11 +17,19 @@ import warp as wp
 
 @wp.struct
 class Canvas:
-    """Size [px], tiles across; if ``layered``, what lies in front (fifth plane: transmittance) and behind."""
+    """Size of one image [px], tiles across and down it; Gaussians per view.
+
+    If ``layered``, what lies in front (fifth plane: transmittance) and behind, [V, 5, H', W'] each. ``feature`` is
+    [Gaussians, features].
+    """
 
     width: int
     height: int
     tiles_across: int
+    tiles_down: int
+    gaussians: int
     layered: int
     front: wp.array(dtype=float)
     back: wp.array(dtype=float)
+    features: int
+    feature: wp.array(dtype=float)

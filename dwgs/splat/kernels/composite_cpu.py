@@ -27,6 +27,7 @@ _PRELUDE = f"""
     typedef float quarter __attribute__((vector_size(16)));
     typedef float loose __attribute__((vector_size(16), aligned(4)));
     typedef int mask __attribute__((vector_size(64)));
+    #define blocks_of(count) ((block*)__builtin_alloca_with_align(((count) + 1) * sizeof(block), 512))
     const block zero = {{}}, one = zero + 1.0f;
     const float slack = 0.01f;  // [px] no rounding hides a block that an ellipse touches
     const block lane_x = {{0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3}};
@@ -36,10 +37,16 @@ _PRELUDE = f"""
 
     const int width = canvas.width, height = canvas.height;
     const bool layered = canvas.layered;
-    const float *front = canvas.front.data, *back = canvas.back.data;
-    const int stride = canvas.tiles_across * 16;
-    const int tile_x = tile % canvas.tiles_across * 16, tile_y = tile / canvas.tiles_across * 16;
-    const int plane = stride * ((height + 15) / 16 * 16);
+    const int stride = canvas.tiles_across * 16, plane = stride * canvas.tiles_down * 16;
+    const int view = tile / (canvas.tiles_across * canvas.tiles_down);
+    const int inside = tile - view * canvas.tiles_across * canvas.tiles_down;
+    const int tile_x = inside % canvas.tiles_across * 16, tile_y = inside / canvas.tiles_across * 16;
+    const float *front = canvas.front.data + view * 5ll * plane, *back = canvas.back.data + view * 5ll * plane;
+    const int features = canvas.features;
+    float* const shown = image.data + view * (5ll + features) * plane;
+    auto feature_of = [&](int gaussian) -> const float* {{
+        return canvas.feature.data + (gaussian - view * canvas.gaussians) * (long long)features;
+    }};
     const int corner = tile_y * stride + tile_x;
     const int columns = width - tile_x < 16 ? width - tile_x : 16, rows = height - tile_y < 16 ? height - tile_y : 16;
     const int *isects = bins.isect_from_sorted.data, *gaussians = bins.gaussian_from_isect.data;
@@ -144,19 +151,24 @@ _GAUSSIAN = """
 _FORWARD = f"""
 {_PRELUDE}
     block C[16][4];
-    for (int b = 0; b < 16; ++b)
+    block* const more = blocks_of(16 * features);
+    for (int b = 0; b < 16; ++b) {{
         for (int c = 0; c < 4; ++c) C[b][c] = layered ? load(front, c, b) : zero;
+        for (int f = 0; f < features; ++f) more[b * features + f] = zero;
+    }}
     for (int first = begin; first < end; first += 16) {{
 {_BATCH}
         for (int n = 0; n < count; ++n) {{
+            const float* feature = feature_of(gaussians[isects[first + n]]);
 {_GAUSSIAN}
                 for (int c = 0; c < 4; ++c) C[b][c] += w * g[6 + c];
+                for (int f = 0; f < features; ++f) more[b * features + f] += w * feature[f];
                 T[b] -= w;
             }}
         }}
     }}
     auto store = [&](int channel, int b, block value) {{
-        float* at = image.data + place(channel, b);
+        float* at = shown + place(channel, b);
         for (int y = 0; y < 4; ++y) *(loose*)(at + y * stride) = *((quarter*)&value + y);
     }};
     for (int b = 0; b < 16; ++b) {{
@@ -166,6 +178,7 @@ _FORWARD = f"""
         }}
         if (layered) T[b] *= 1.0f - load(back, 4, b);
         store(4, b, 1.0f - T[b]);
+        for (int f = 0; f < features; ++f) store(5 + f, b, more[b * features + f]);
     }}
 """
 
@@ -184,14 +197,20 @@ _ADJOINT = f"""
     }};
 
     // what the light still to come brings to the loss: known in full at the start, spent Gaussian by Gaussian
+    const float* v_shown = v_image.data + view * (5ll + features) * plane;
     block rest[16], v[16][5];
+    block *const v_more = blocks_of(16 * features), *const v_f = blocks_of(features);
     for (int b = 0; b < 16; ++b) {{
         rest[b] = zero;
         for (int c = 0; c < 5; ++c) {{
-            v[b][c] = load(v_image.data, c, b);
-            block behind = load(image.data, c, b);
+            v[b][c] = load(v_shown, c, b);
+            block behind = load(shown, c, b);
             if (layered) behind -= c < 4 ? load(front, c, b) : 1.0f - T[b];
             rest[b] += v[b][c] * behind;
+        }}
+        for (int f = 0; f < features; ++f) {{
+            v_more[b * features + f] = load(v_shown, 5 + f, b);
+            rest[b] += v_more[b * features + f] * load(shown, 5 + f, b);
         }}
     }}
     int first = begin;
@@ -199,10 +218,13 @@ _ADJOINT = f"""
 {_BATCH}
         for (int n = 0; n < count; ++n) {{
             const int isect = isects[first + n];
-            const bool frozen = gaussians[isect] >= trainable;
+            const bool frozen = gaussians[isect] - view * canvas.gaussians >= trainable;
+            const float* feature = feature_of(gaussians[isect]);
             block s = zero, s_x = zero, s_y = zero, s_xx = zero, s_xy = zero, s_yy = zero, v_c[4] = {{}};
+            for (int f = 0; f < features; ++f) v_f[f] = zero;
 {_GAUSSIAN}
-                const block q = v[b][0] * g[6] + v[b][1] * g[7] + v[b][2] * g[8] + v[b][3] * g[9] + v[b][4];
+                block q = v[b][0] * g[6] + v[b][1] * g[7] + v[b][2] * g[8] + v[b][3] * g[9] + v[b][4];
+                for (int f = 0; f < features; ++f) q += v_more[b * features + f] * feature[f];
                 rest[b] -= w * q;
                 T[b] -= w;
                 if (frozen) continue;
@@ -216,6 +238,7 @@ _ADJOINT = f"""
                 s_xy += by_x * dy;
                 s_yy += by_y * dy;
                 for (int c = 0; c < 4; ++c) v_c[c] += w * v[b][c];
+                for (int f = 0; f < features; ++f) v_f[f] += w * v_more[b * features + f];
             }}
             if (frozen) continue;
             const quarter m1 = sums(s_x, s_y, s_xx, s_xy), m0 = sums(s, s_yy, zero, zero);
@@ -228,11 +251,13 @@ _ADJOINT = f"""
             slot[4] = -0.5f * m0[1];
             slot[5] = m0[0] / g[5];
             for (int c = 0; c < 4; ++c) slot[6 + c] = color[c];
+            float* feature_slot = feature_slots.data + isect * (long long)features;
+            for (int f = 0; f < features; ++f) feature_slot[f] = sums(v_f[f], zero, zero, zero)[0];
         }}
     }}
     for (int k = first; k < end; ++k) {{  // behind the last light
-        float* slot = (float*)&slots.data[isects[k]];
-        for (int j = 0; j < 10; ++j) slot[j] = 0.0f;
+        for (int j = 0; j < 10; ++j) ((float*)&slots.data[isects[k]])[j] = 0.0f;
+        for (int f = 0; f < features; ++f) feature_slots.data[isects[k] * (long long)features + f] = 0.0f;
     }}
 """
 
@@ -252,8 +277,9 @@ def draw_tile_adjoint(
     v_image: wp.array(dtype=float),
     trainable: int,
     slots: wp.array(dtype=slot10),
+    feature_slots: wp.array(dtype=float),
 ):
-    """Write the slot of each intersection of one tile."""
+    """Write the slots of each intersection of one tile."""
 
 
 @wp.kernel
@@ -280,6 +306,7 @@ def composite_adjoint(
     trainable: int,
     # outputs
     slots: wp.array(dtype=slot10),
+    feature_slots: wp.array(dtype=float),
 ):
-    """One task per tile; slots of Gaussians from ``trainable`` on are left as they are."""
-    draw_tile_adjoint(first + wp.tid(), canvas, bins, records, image, v_image, trainable, slots)
+    """One task per tile; slots of a view's Gaussians from ``trainable`` on are left as they are."""
+    draw_tile_adjoint(first + wp.tid(), canvas, bins, records, image, v_image, trainable, slots, feature_slots)

@@ -71,6 +71,11 @@ class Pixel:
     tile: int
     plane: int
     index: int
+    """In planes of r, g, b, depth, alpha."""
+    shown: int
+    """In planes that features follow."""
+    before: int
+    """Gaussians of earlier views."""
     x: float
     y: float
 
@@ -81,11 +86,16 @@ def pixel_of(thread: int, canvas: Canvas) -> Pixel:
     pixel = Pixel()
     pixel.tile = thread / _BLOCK
     inside = thread % _BLOCK
-    x = pixel.tile % canvas.tiles_across * TILE + inside % TILE
-    y = pixel.tile / canvas.tiles_across * TILE + inside / TILE
+    tiles = canvas.tiles_across * canvas.tiles_down
+    view = pixel.tile / tiles
+    tile = pixel.tile - view * tiles
+    x = tile % canvas.tiles_across * TILE + inside % TILE
+    y = tile / canvas.tiles_across * TILE + inside / TILE
     stride = canvas.tiles_across * TILE
-    pixel.plane = stride * ((canvas.height + TILE - 1) / TILE * TILE)
-    pixel.index = y * stride + x
+    pixel.plane = stride * canvas.tiles_down * TILE
+    pixel.index = view * 5 * pixel.plane + y * stride + x
+    pixel.shown = view * (5 + canvas.features) * pixel.plane + y * stride + x
+    pixel.before = view * canvas.gaussians
     pixel.x = float(x) + 0.5
     pixel.y = float(y) + 0.5
     return pixel
@@ -131,20 +141,26 @@ def composite(
     if canvas.layered != 0:
         for c in range(4):
             total[c] = canvas.front[c * pixel.plane + pixel.index]
+    for f in range(canvas.features):
+        image[(5 + f) * pixel.plane + pixel.shown] = 0.0
     span = bins.ranges[pixel.tile]
     for k in range(span[0], span[1]):
         if T < STOP_TRANSMITTANCE:
             break
-        record = records[bins.gaussian_from_isect[bins.isect_from_sorted[k]]]
+        gaussian = bins.gaussian_from_isect[bins.isect_from_sorted[k]]
+        record = records[gaussian]
         alpha = record[5] * falloff(record, pixel.x - record[0], pixel.y - record[1])
         if alpha >= MIN_ALPHA:
             w = T * wp.min(alpha, MAX_ALPHA)
             total += w * colors_of(record)
             T -= w
+            for f in range(canvas.features):
+                at = (5 + f) * pixel.plane + pixel.shown
+                image[at] = image[at] + w * canvas.feature[(gaussian - pixel.before) * canvas.features + f]
     for c in range(5):
         if canvas.layered != 0:
             total[c] += T * canvas.back[c * pixel.plane + pixel.index]
-        image[c * pixel.plane + pixel.index] = total[c]
+        image[c * pixel.plane + pixel.shown] = total[c]
 
 
 @wp.kernel
@@ -157,6 +173,7 @@ def composite_adjoint(
     trainable: int,
     # outputs
     slots: wp.array(dtype=slot10),
+    feature_slots: wp.array(dtype=float),
 ):
     """One pixel per thread, one slot per warp. No lane leaves early: all of a warp take part in its sums."""
     thread = wp.tid()
@@ -165,14 +182,17 @@ def composite_adjoint(
     v = vec5()
     rest = float(0.0)  # noqa: UP018  (a variable, not a constant)
     for c in range(5):
-        v[c] = v_image[c * pixel.plane + pixel.index]
-        behind = image[c * pixel.plane + pixel.index]
+        v[c] = v_image[c * pixel.plane + pixel.shown]
+        behind = image[c * pixel.plane + pixel.shown]
         if canvas.layered != 0:
             if c < 4:
                 behind -= canvas.front[c * pixel.plane + pixel.index]
             else:
                 behind -= 1.0 - T
         rest += v[c] * behind
+    for f in range(canvas.features):
+        at = (5 + f) * pixel.plane + pixel.shown
+        rest += v_image[at] * image[at]
     warps = _BLOCK / lanes()
     warp = thread % _BLOCK / lanes()
     is_writer = thread % lanes() == 0
@@ -186,10 +206,14 @@ def composite_adjoint(
         raw = record[5] * falloff(record, dx, dy)
         is_kept = raw >= MIN_ALPHA and T >= STOP_TRANSMITTANCE
         slot = slot10()
+        w = float(0.0)  # noqa: UP018
         if is_kept:
             alpha = wp.min(raw, MAX_ALPHA)
             w = T * alpha
             q = wp.dot(v, colors_of(record))
+            for f in range(canvas.features):
+                feature = canvas.feature[(gaussian - pixel.before) * canvas.features + f]
+                q += v_image[(5 + f) * pixel.plane + pixel.shown] * feature
             rest -= w * q
             T -= w
             if raw < MAX_ALPHA:  # the clamp passes no gradient
@@ -202,9 +226,17 @@ def composite_adjoint(
                 slot[5] = v_power / record[5]
             for c in range(4):
                 slot[6 + c] = w * v[c]
-        if gaussian < trainable:
-            if any_lane(int(is_kept)) != 0:
-                for j in range(10):
+        if gaussian - pixel.before < trainable:
+            is_touched = any_lane(int(is_kept)) != 0
+            at = isect * warps + warp
+            for j in range(10):
+                if is_touched:
                     slot[j] = sum_lanes(slot[j])
             if is_writer:
-                slots[isect * warps + warp] = slot
+                slots[at] = slot
+            for f in range(canvas.features):
+                v_feature = w * v_image[(5 + f) * pixel.plane + pixel.shown]
+                if is_touched:
+                    v_feature = sum_lanes(v_feature)
+                if is_writer:
+                    feature_slots[at * canvas.features + f] = v_feature

@@ -1,5 +1,8 @@
 # type: ignore  (Warp's language, which is not Python's)
-"""Gradients of intersections to gradients of Gaussians, without atomics: deterministic, safe in threads."""
+"""Gradients of intersections to gradients of Gaussians, without atomics: deterministic, safe in threads.
+
+A slot holds the gradient of the first ten fields of a record; another of F numbers that of its features.
+"""
 
 import warp as wp
 
@@ -15,24 +18,38 @@ slot10 = wp.types.vector(length=10, dtype=float)
 def gather(
     first: int,
     slots: wp.array(dtype=slot10),
+    feature_slots: wp.array(dtype=float),
     gaussian_from_rank: wp.array(dtype=int),
     ends: wp.array(dtype=int),
     parts: int,
+    per_view: int,
+    trainable: int,
+    features: int,
     # outputs
     v_records: wp.array(dtype=record16),
+    v_features: wp.array2d(dtype=float),
 ):
-    """Sum the slots of each Gaussian, ``parts`` per intersection; those beyond ``v_records`` are frozen."""
+    """Sum the slots of each Gaussian, ``parts`` per intersection; in each view only the first are trainable."""
     rank = first + wp.tid()
     gaussian = gaussian_from_rank[rank]
-    if gaussian < v_records.shape[0]:
+    index = gaussian % per_view
+    if index < trainable:
         begin = int(0)  # noqa: RUF046, UP018  (a variable, not a constant)
         if rank > 0:
             begin = ends[rank - 1]
+        begin *= parts
+        end = ends[rank] * parts
+        row = gaussian / per_view * trainable + index
         total = slot10()
-        for k in range(begin * parts, ends[rank] * parts):
+        for k in range(begin, end):
             total += slots[k]
-        v_records[gaussian] = record16(
+        v_records[row] = record16(
             total[0], total[1], total[2], total[3], total[4], total[5],
             total[6], total[7], total[8], total[9], 0.0, 0.0,
             0.0, 0.0, 0.0, 0.0,
         )  # fmt: skip
+        for j in range(features):
+            v_feature = float(0.0)  # noqa: UP018
+            for k in range(begin, end):
+                v_feature += feature_slots[k * features + j]
+            v_features[row, j] = v_feature

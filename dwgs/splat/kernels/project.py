@@ -34,25 +34,25 @@ class Cloud:
 
 @wp.struct
 class Lens:
-    """The camera: intrinsics are fx, fy, cx, cy [px]; ``viewmats`` [K] are camera_from_object.
+    """Cameras: ``intrinsics`` [V] are fx, fy, cx, cy [px], ``viewmats`` [V, K] camera_from_object.
 
     ``object_from_gaussian`` [N] names the object of each Gaussian; where it is empty, all belong to the first.
     """
 
-    viewmats: wp.array(dtype=wp.mat44)
+    intrinsics: wp.array(dtype=wp.vec4)
+    viewmats: wp.array2d(dtype=wp.mat44)
     object_from_gaussian: wp.array(dtype=int)
-    intrinsics: wp.vec4
     width: float
     height: float
     antialiased: int
 
 
 @wp.func
-def viewmat_of(lens: Lens, gaussian: int) -> wp.mat44:
+def viewmat_of(lens: Lens, view: int, gaussian: int) -> wp.mat44:
     """camera_from_object of a Gaussian's object."""
     if lens.object_from_gaussian.shape[0] > 0:
-        return lens.viewmats[lens.object_from_gaussian[gaussian]]
-    return lens.viewmats[0]
+        return lens.viewmats[view, lens.object_from_gaussian[gaussian]]
+    return lens.viewmats[view, 0]
 
 
 @wp.func
@@ -139,12 +139,15 @@ def compensation_of(m: mat23) -> float:
 
 @wp.kernel
 def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record16)):
-    """One record per Gaussian; radii stay zero where it is behind, outside, too faint or not finite."""
-    i = first + wp.tid()
-    viewmat = viewmat_of(lens, i)
+    """One record per view and Gaussian; radii stay zero where it is behind, outside, too faint or not finite."""
+    index = first + wp.tid()
+    view = index / cloud.means.shape[0]
+    i = index % cloud.means.shape[0]
+    viewmat = viewmat_of(lens, view, i)
     R = rotation_of(viewmat)
     t = translation_of(viewmat)
-    fx, fy, cx, cy = lens.intrinsics[0], lens.intrinsics[1], lens.intrinsics[2], lens.intrinsics[3]
+    intrinsics = lens.intrinsics[view]
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
 
     mean = cloud.means[i]
     p = R @ mean + t
@@ -189,38 +192,35 @@ def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record
                     wp.max(color[0], 0.0), wp.max(color[1], 0.0), wp.max(color[2], 0.0),
                     p[2], extent_x, extent_y, wp.log(opacity), tilt, summit, waist,
                 )  # fmt: skip
-    records[i] = record
+    records[index] = record
 
 
-@wp.kernel
-def project_adjoint(
-    first: int,
+@wp.func
+def view_adjoint(
     cloud: Cloud,
     lens: Lens,
     records: wp.array(dtype=record16),
     v_records: wp.array(dtype=record16),
-    spans: wp.array(dtype=wp.vec2i),
-    # outputs
+    view: int,
+    span: wp.vec2i,
     v_cloud: Cloud,
-    v_viewmats: wp.array(dtype=wp.mat44),
-):
-    """Gradients of a span of Gaussians per task, all of one object; each sums its share of the pose's gradient."""
-    task = first + wp.tid()
-    span = spans[task]
-    viewmat = viewmat_of(lens, span[0])
+) -> wp.mat44:
+    """Add what one view says to the gradients of a span of Gaussians; the gradient of their pose."""
+    viewmat = viewmat_of(lens, view, span[0])
     R = rotation_of(viewmat)
     Rt = wp.transpose(R)
     t = translation_of(viewmat)
-    fx = lens.intrinsics[0]
-    fy = lens.intrinsics[1]
+    fx = lens.intrinsics[view][0]
+    fy = lens.intrinsics[view][1]
     count = cloud.sh.shape[1]
+    before = view * cloud.means.shape[0]
     v_R = wp.mat33()
     v_t = wp.vec3()
     v_position = wp.vec3()
     for i in range(span[0], span[1]):
-        record = records[i]
+        record = records[before + i]
         if record[10] > 0.0:
-            v = v_records[i]
+            v = v_records[before + i]
             mean = cloud.means[i]
             p = R @ mean + t
             rz = 1.0 / p[2]
@@ -239,7 +239,7 @@ def project_adjoint(
             basis = sh_basis(direction, count)
             v_basis = vec16()
             for k in range(count):
-                v_cloud.sh[i, k] = basis[k] * v_color
+                v_cloud.sh[i, k] = v_cloud.sh[i, k] + basis[k] * v_color
                 v_basis[k] = wp.dot(cloud.sh[i, k], v_color)
             v_direction = sh_basis_adjoint(direction, v_basis, count)
             v_ray = (v_direction - direction * wp.dot(direction, v_direction)) / distance
@@ -293,24 +293,44 @@ def project_adjoint(
             v_t += v_p
             v_R += wp.transpose(J) @ v_JR + wp.outer(v_p, mean)
 
-            v_cloud.means[i] = Rt @ v_p + v_ray
-            v_cloud.quats[i] = (v_unit - unit * wp.dot(unit, v_unit)) / norm
-            v_cloud.scales[i] = v_scale
-            v_cloud.opacities[i] = v_opacity
-        else:
-            v_cloud.means[i] = wp.vec3()
-            v_cloud.quats[i] = wp.vec4()
-            v_cloud.scales[i] = wp.vec3()
-            v_cloud.opacities[i] = 0.0
-            for k in range(count):
-                v_cloud.sh[i, k] = wp.vec3()
+            v_cloud.means[i] = v_cloud.means[i] + Rt @ v_p + v_ray
+            v_cloud.quats[i] = v_cloud.quats[i] + (v_unit - unit * wp.dot(unit, v_unit)) / norm
+            v_cloud.scales[i] = v_cloud.scales[i] + v_scale
+            v_cloud.opacities[i] = v_cloud.opacities[i] + v_opacity
 
     # the camera stands at -R^T t
     v_t -= R @ v_position
     v_R -= wp.outer(t, v_position)
-    v_viewmats[task] = wp.mat44(
+    return wp.mat44(
         v_R[0, 0], v_R[0, 1], v_R[0, 2], v_t[0],
         v_R[1, 0], v_R[1, 1], v_R[1, 2], v_t[1],
         v_R[2, 0], v_R[2, 1], v_R[2, 2], v_t[2],
         0.0, 0.0, 0.0, 0.0,
     )  # fmt: skip
+
+
+@wp.kernel
+def project_adjoint(
+    first: int,
+    cloud: Cloud,
+    lens: Lens,
+    records: wp.array(dtype=record16),
+    v_records: wp.array(dtype=record16),
+    spans: wp.array(dtype=wp.vec2i),
+    # outputs
+    v_cloud: Cloud,
+    v_viewmats: wp.array2d(dtype=wp.mat44),
+):
+    """Gradients of a span of Gaussians per task, all of one object; each sums its share of the poses' gradients."""
+    task = first + wp.tid()
+    span = spans[task]
+    count = cloud.sh.shape[1]
+    for i in range(span[0], span[1]):
+        v_cloud.means[i] = wp.vec3()
+        v_cloud.quats[i] = wp.vec4()
+        v_cloud.scales[i] = wp.vec3()
+        v_cloud.opacities[i] = 0.0
+        for k in range(count):
+            v_cloud.sh[i, k] = wp.vec3()
+    for view in range(lens.viewmats.shape[0]):
+        v_viewmats[view, task] = view_adjoint(cloud, lens, records, v_records, view, span, v_cloud)

@@ -22,9 +22,9 @@ class Binned:
     """Intersections of Gaussians with tiles."""
 
     gaussian_from_rank: Tensor
-    """[N] Gaussians in order of depth."""
+    """[V N] Gaussians in order of depth, counted view by view."""
     ends: Tensor
-    """[N] running count of intersections by rank: those of one Gaussian lie side by side."""
+    """[V N] running count of intersections by rank: those of one Gaussian lie side by side."""
     gaussian_from_isect: Tensor
     """[M]."""
     isect_from_sorted: Tensor
@@ -48,19 +48,20 @@ class Binned:
 
 
 def bin(records: Tensor, view: View, threads: int) -> Binned:
-    """Sort the records [N, 16] by depth, cut them by tile."""
-    n, where = len(records), records.device
+    """Sort the records [V, N, 16] by depth, cut them by tile."""
+    views, per_view, _ = records.shape
+    n, where = views * per_view, records.device
     device = wp.device_from_torch(where)
     tiles_across, tiles_down = view.tiles
     tiles = wp.vec2i(tiles_across, tiles_down)
-    in_records = wp.from_torch(records, dtype=record16, return_ctype=True)
+    in_records = wp.from_torch(records.view(-1, 16), dtype=record16, return_ctype=True)
 
     # the radix sorts want room for twice what they sort
     depths = wp.from_torch(scratch("depth", 2 * n, torch.float32, where))
     ranked = scratch("ranked", 2 * n, torch.int32, where)
     order = wp.from_torch(ranked)
     areas = wp.from_torch(scratch("areas", 4 * n, torch.int32, where).view(n, 4), dtype=wp.vec4i)
-    launch(kernels.find_tiles, n, [in_records, tiles, depths, order, areas], device, threads)
+    launch(kernels.find_tiles, n, [in_records, per_view, tiles, depths, order, areas], device, threads)
     wp.utils.radix_sort_pairs(depths, order, n)
 
     ends = torch.empty(n, dtype=torch.int32, device=where)
@@ -75,8 +76,8 @@ def bin(records: Tensor, view: View, threads: int) -> Binned:
     gaussian_from_isect = torch.empty(m, dtype=torch.int32, device=where)
     outputs = [tile_keys, sorted_isects, wp.from_torch(gaussian_from_isect)]
     launch(kernels.emit, n, [areas, order, in_ends, tiles, *outputs], device, threads)
-    wp.utils.radix_sort_pairs(tile_keys, sorted_isects, m, 0, (tiles_across * tiles_down - 1).bit_length())
+    wp.utils.radix_sort_pairs(tile_keys, sorted_isects, m, 0, (views * tiles_across * tiles_down - 1).bit_length())
 
-    ranges = torch.zeros(tiles_across * tiles_down, 2, dtype=torch.int32, device=where)
+    ranges = torch.zeros(views * tiles_across * tiles_down, 2, dtype=torch.int32, device=where)
     launch(kernels.find_ranges, m, [tile_keys, m, wp.from_torch(ranges, dtype=wp.vec2i)], device, threads)
     return Binned(ranked[:n].clone(), ends, gaussian_from_isect, isects[:m].clone(), ranges)

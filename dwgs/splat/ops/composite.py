@@ -7,75 +7,137 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from dwgs.scene import InputError
 from dwgs.splat.kernels import composite_cpu, composite_cuda
 from dwgs.splat.kernels.canvas import Canvas
 from dwgs.splat.kernels.gather import gather, slot10
 from dwgs.splat.kernels.project import record16
-from dwgs.splat.ops.bin import Binned, bin
+from dwgs.splat.ops.bin import bin
 from dwgs.splat.ops.scratch import scratch
 from dwgs.splat.ops.stream import torch_stream
 from dwgs.splat.parallel import CHUNKS_PER_THREAD, launch, load
-from dwgs.splat.splats import Layers, Projected, Rendering, View, whole_tiles, write_planes
+from dwgs.splat.splats import Layers, Projected, Rendering, View, whole_tiles
 
 
 def composite(
-    projected: Projected | list[Projected], view: View, layers: Layers | None = None, threads: int = 2
+    projected: Projected | list[Projected],
+    view: View,
+    layers: Layers | None = None,
+    features: Tensor | None = None,
+    threads: int = 2,
 ) -> Rendering:
     """The image of records, near over far, between the ``layers`` of a frozen scene where they are given.
 
     Of several ``projected`` (all made with this view) the image is that of their union; a gradient flows to
     those that require one, and the others cost less.
+
+    Args:
+        projected: What is drawn.
+        view: The camera, or a batch of them.
+        layers: What stands before and behind all of it.
+        features: [N, F] further channels of the Gaussians, in order of all ``projected``: composited like colours.
+        threads: On a CPU.
     """
     parts = projected if isinstance(projected, list) else [projected]
-    return Rendering(*_Composite.apply(view, layers, threads, *(p.records for p in parts)))
+    if features is None:
+        features = parts[0].records.new_zeros(sum(map(len, parts)), 0)
+    if features.shape[:1] != (sum(map(len, parts)),) or features.ndim != 2 or features.dtype != torch.float32:
+        raise InputError(
+            f"features are float32 [{sum(map(len, parts))}, F], got {features.dtype} {tuple(features.shape)}"
+        )
+    images = _Composite.apply(view, layers, threads, features, *(p.records for p in parts))
+    return Rendering(*images)
 
 
 _SCHEMES = {"cpu": composite_cpu, "cuda": composite_cuda}
 """Same kernels by name, a tile being a task on the one and a block on the other."""
+PLANES = 5
+"""r, g, b, depth, alpha; features follow."""
 
 
 class _Composite(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, view: View, layers: Layers | None, threads: int, *parts: Tensor):
-        needs = ctx.needs_input_grad[3:]
+    def forward(ctx: Any, view: View, layers: Layers | None, threads: int, features: Tensor, *parts: Tensor):
+        needs = [need or ctx.needs_input_grad[3] for need in ctx.needs_input_grad[4:]]
         order = sorted(range(len(parts)), key=lambda k: not needs[k])  # trainable first
-        records = parts[0].contiguous() if len(parts) == 1 else torch.cat([parts[k] for k in order])
-        records = records.detach()
-        load(wp.device_from_torch(records.device))
-        image = torch.empty(5, *whole_tiles(view.height, view.width), device=records.device)
-        with torch_stream(records.device):
+        counts = [part.shape[-2] for part in parts]
+        pieces = [part.detach() if view.is_batch else part.detach()[None] for part in parts]
+        rows = [f.detach() for f in features.split(counts)]
+        if len(parts) > 1:
+            pieces, rows = [torch.cat([pieces[k] for k in order], 1)], [torch.cat([rows[k] for k in order])]
+        records, feature = pieces[0].contiguous(), rows[0].contiguous()
+        where, views = records.device, len(records)
+        load(wp.device_from_torch(where))
+        shape = (views, PLANES + feature.shape[1], *whole_tiles(view.height, view.width))
+        image = torch.empty(shape, device=where)
+        with torch_stream(where):
             binned = bin(records, view, threads)
-            inputs = [_canvas(view, layers), binned.to_warp(), _records(records), _flat(image)]
+            inputs = [_canvas(view, records, layers, feature), binned.to_warp(), _records(records), _flat(image)]
             spans = binned.chunks(threads * CHUNKS_PER_THREAD)
-            _draw("composite", inputs, spans, records.device, threads)
+            _draw("composite", inputs, spans, where, threads)
         ctx.inputs, ctx.binned, ctx.spans, ctx.threads = inputs, binned, spans, threads
-        ctx.counts = [len(p) if need else 0 for p, need in zip(parts, needs, strict=True)]
-        ctx.save_for_backward(records, image)
+        ctx.order, ctx.counts, ctx.needs, ctx.shapes = order, counts, needs, [part.shape for part in parts]
+        ctx.save_for_backward(records, image, feature)
         ctx.set_materialize_grads(False)
-        inside = image[:, : view.height, : view.width]
-        return inside[:3].permute(1, 2, 0), inside[3], inside[4]
+        inside = image[..., : view.height, : view.width]
+        inside = inside if view.is_batch else inside[0]
+        rgb, rest = inside[..., :3, :, :].movedim(-3, -1), inside[..., PLANES:, :, :].movedim(-3, -1)
+        return rgb, inside[..., 3, :, :], inside[..., 4, :, :], rest
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grad_outputs: Tensor | None):  # pyright: ignore[reportIncompatibleMethodOverride]
-        records, image = (t.detach() for t in ctx.saved_tensors)
-        binned: Binned = ctx.binned
-        where, trainable = records.device, sum(ctx.counts)
+        records, image, feature = (t.detach() for t in ctx.saved_tensors)
+        binned, where = ctx.binned, records.device
+        trainable = sum(count for count, need in zip(ctx.counts, ctx.needs, strict=True) if need)
         v_image = scratch("v_image", image.numel(), torch.float32, where).view(image.shape)
-        write_planes(v_image, *grad_outputs)
+        _write_gradient(v_image, *grad_outputs)
         split = _SCHEMES[where.type].SLOTS
-        slots = scratch("slots", 10 * split * len(binned.gaussian_from_isect), torch.float32, where)
-        in_slots = wp.from_torch(slots.view(-1, 10), dtype=slot10, return_ctype=True)
-        inputs = [*ctx.inputs, _flat(v_image), trainable, in_slots]
-        v_records = torch.empty(trainable, 16, device=where)
+        count = split * len(binned.gaussian_from_isect)
+        slots = scratch("slots", 10 * count, torch.float32, where).view(-1, 10)
+        feature_slots = scratch("feature_slots", feature.shape[1] * count, torch.float32, where)
+        in_slots = [wp.from_torch(slots, dtype=slot10, return_ctype=True), _flat(feature_slots)]
+        inputs = [*ctx.inputs, _flat(v_image), trainable, *in_slots]
+        v_records = torch.empty(len(records), trainable, 16, device=where)
+        v_features = torch.empty(len(records), trainable, feature.shape[1], device=where)
         order = wp.from_torch(binned.gaussian_from_rank, return_ctype=True)
         ends = wp.from_torch(binned.ends, return_ctype=True)
-        to_gather = [in_slots, order, ends, split, _records(v_records)]
+        v_rows = wp.from_torch(v_features.flatten(0, 1), return_ctype=True)
+        numbers = [split, records.shape[1], trainable, feature.shape[1]]
+        to_gather = [*in_slots, order, ends, *numbers, _records(v_records), v_rows]
         with torch_stream(where):
             _draw("composite_adjoint", inputs, ctx.spans, where, ctx.threads)
-            launch(gather, len(records), to_gather, wp.device_from_torch(where), ctx.threads)
-        v_parts = v_records.split(ctx.counts)
-        return None, None, None, *(v if len(v) else None for v in v_parts)
+            launch(gather, len(binned.ends), to_gather, wp.device_from_torch(where), ctx.threads)
+        return None, None, None, *_by_part(ctx, v_records, v_features)
+
+
+def _by_part(ctx: Any, v_records: Tensor, v_features: Tensor) -> list[Tensor | None]:
+    """Gradients of features and parts as they were given, from those of the trainable Gaussians [V, T, ...]."""
+    trainable = [k for k in ctx.order if ctx.needs[k]]
+    pieces = dict(zip(trainable, v_records.split([ctx.counts[k] for k in trainable], 1), strict=True))
+    v_parts = [pieces[k].view(shape) if k in pieces else None for k, shape in enumerate(ctx.shapes)]
+    if not ctx.needs_input_grad[3]:
+        return [None, *v_parts]
+    rows = dict(zip(trainable, v_features.sum(0).split([ctx.counts[k] for k in trainable]), strict=True))
+    return [torch.cat([rows[k] for k in range(len(ctx.counts))]), *v_parts]
+
+
+def _write_gradient(
+    v_image: Tensor, v_rgb: Tensor | None, v_depth: Tensor | None, v_alpha: Tensor | None, v_features: Tensor | None
+) -> None:
+    """Fill ``v_image`` [V, 5 + F, H', W'] of whole tiles; zeros outside the image and for None."""
+    parts = (
+        (v_image[:, :3], None if v_rgb is None else v_rgb.movedim(-1, -3)),
+        (v_image[:, 3], v_depth),
+        (v_image[:, 4], v_alpha),
+        (v_image[:, PLANES:], None if v_features is None else v_features.movedim(-1, -3)),
+    )
+    for planes, v in parts:
+        height, width = (0, 0) if v is None else v.shape[-2:]
+        planes[..., height:, :] = 0
+        planes[..., :height, width:] = 0
+        if v is not None:
+            planes[..., :height, :width] = v
 
 
 def _draw(name: str, inputs: list[Any], spans: list[int], where: torch.device, threads: int) -> None:
@@ -89,17 +151,20 @@ def _draw(name: str, inputs: list[Any], spans: list[int], where: torch.device, t
         wp.launch(kernel, pixels, inputs, device=device, block_dim=composite_cuda.BLOCK, record_tape=False)
 
 
-def _canvas(view: View, layers: Layers | None) -> Any:
+def _canvas(view: View, records: Tensor, layers: Layers | None, feature: Tensor) -> Any:
     canvas = Canvas()
-    canvas.width, canvas.height, canvas.tiles_across = view.width, view.height, view.tiles[0]
+    canvas.width, canvas.height = view.width, view.height
+    canvas.tiles_across, canvas.tiles_down = view.tiles
+    canvas.gaussians = records.shape[1]
     canvas.layered = int(layers is not None)
     if layers is not None:
         canvas.front, canvas.back = wp.from_torch(layers.front.view(-1)), wp.from_torch(layers.back.view(-1))
+    canvas.features, canvas.feature = feature.shape[1], wp.from_torch(feature.view(-1))
     return canvas
 
 
 def _records(records: Tensor) -> Any:
-    return wp.from_torch(records, dtype=record16, return_ctype=True)
+    return wp.from_torch(records.view(-1, 16), dtype=record16, return_ctype=True)
 
 
 def _flat(image: Tensor) -> Any:

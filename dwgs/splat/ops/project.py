@@ -1,6 +1,7 @@
 """Splats and a camera to records, differentiably."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -14,14 +15,14 @@ from dwgs.splat.ops.stream import torch_stream
 from dwgs.splat.parallel import CHUNKS_PER_THREAD, launch, load
 from dwgs.splat.splats import Objects, Projected, Splats, View
 
-_GAUSSIANS_PER_TASK = {"cpu": 256, "cuda": 32}
+_GAUSSIANS_PER_TASK = {"cpu": 256, "cuda": 1}
 """Over so many the adjoint sums the pose's gradient at once; fixed, so that threads do not change sums."""
 
 
 def project(
     splats: Splats, view: View, objects: Objects | None = None, antialiased: bool = False, threads: int = 2
 ) -> Projected:
-    """One record per Gaussian; a gradient flows to ``splats``, to ``view.viewmat`` and to the objects' poses.
+    """One record per view and Gaussian; a gradient flows to ``splats``, to ``view.viewmat`` and to the objects' poses.
 
     Colour is evaluated in the direction from the camera to the mean, in the frame of the Gaussian's own object,
     and its gradient reaches means and poses through that direction too. Gaussians that are not finite are not
@@ -29,7 +30,7 @@ def project(
 
     Args:
         splats: In the world, or each in the frame of its object.
-        view: The camera.
+        view: The camera, or a batch of them.
         objects: Whose Gaussians are whose, and where they stand; by default all belong to the world.
         antialiased: Whether what is thinner than a pixel is fainter instead of fatter (Mip-Splatting's 2D filter).
         threads: On a CPU.
@@ -43,24 +44,26 @@ def project(
             )
     if objects is None:
         objects = Objects((len(splats),), torch.eye(4, device=view.viewmat.device)[None])
-        viewmats = view.viewmat[None]
+        viewmats = view.viewmats[:, None]
     else:
-        viewmats = view.viewmat @ objects.world_from_object
+        viewmats = view.viewmats[:, None] @ objects.world_from_object
     if sum(objects.counts) != len(splats):
         raise InputError(f"every Gaussian belongs to one object: {len(splats)} Gaussians, {objects.counts} in objects")
-    return Projected(_Project.apply(view, objects, antialiased, threads, *tensors[:5], viewmats))
+    records = _Project.apply(view, objects, antialiased, threads, *tensors[:5], viewmats)
+    return Projected(records if view.is_batch else records[0])
 
 
 class _Project(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, view: View, objects: Objects, antialiased: bool, threads: int, *tensors: Tensor) -> Tensor:
         tensors = tuple(t.detach().contiguous() for t in tensors)
-        records = torch.empty(len(tensors[0]), 16, device=tensors[0].device)
-        device = wp.device_from_torch(records.device)
+        where = tensors[0].device
+        records = torch.empty(len(view.viewmats), len(tensors[0]), 16, device=where)
+        device = wp.device_from_torch(where)
         load(device)
         inputs = [_cloud(tensors), _lens(view, objects, antialiased, tensors[5]), _records(records)]
-        with torch_stream(records.device):
-            launch(kernels.project, len(records), inputs, device, threads)
+        with torch_stream(where):
+            launch(kernels.project, records.shape[0] * records.shape[1], inputs, device, threads)
         ctx.inputs, ctx.objects, ctx.threads = inputs, objects, threads
         ctx.save_for_backward(*tensors, records)
         return records
@@ -69,20 +72,36 @@ class _Project(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grad_outputs: Tensor):  # pyright: ignore[reportIncompatibleMethodOverride]
         *tensors, records = (t.detach() for t in ctx.saved_tensors)
-        v_records = grad_outputs[0].contiguous()
-        object_from_task, spans = ctx.objects.tasks(_GAUSSIANS_PER_TASK[records.device.type])
+        where, objects = records.device, ctx.objects
+        object_from_task, spans = _tasks(objects.counts, _GAUSSIANS_PER_TASK[where.type], where)
         tasks = len(spans)
         v_tensors = [torch.empty_like(t) for t in tensors[:5]]
-        v_spans = torch.empty(tasks, 4, 4, device=records.device)
+        v_spans = torch.empty(len(records), tasks, 4, 4, device=where)
         in_spans = wp.from_torch(spans, dtype=wp.vec2i, return_ctype=True)
         out_spans = wp.from_torch(v_spans, dtype=wp.mat44, return_ctype=True)
-        inputs = [*ctx.inputs, _records(v_records), in_spans, _cloud(v_tensors), out_spans]
+        inputs = [*ctx.inputs, _records(grad_outputs[0].contiguous()), in_spans, _cloud(v_tensors), out_spans]
         chunks = max(1, min(tasks, ctx.threads * CHUNKS_PER_THREAD))
         bounds = [tasks * k // chunks for k in range(chunks + 1)]
-        with torch_stream(records.device):
-            launch(kernels.project_adjoint, bounds, inputs, wp.device_from_torch(records.device), ctx.threads)
-        v_viewmats = torch.zeros_like(ctx.objects.world_from_object).index_add_(0, object_from_task, v_spans)
-        return None, None, None, None, *v_tensors, v_viewmats.float()
+        with torch_stream(where):
+            launch(kernels.project_adjoint, bounds, inputs, wp.device_from_torch(where), ctx.threads)
+        if len(objects.counts) == 1:
+            v_viewmats = v_spans.sum(1, keepdim=True)
+        else:
+            v_viewmats = torch.zeros_like(tensors[5]).index_add_(1, object_from_task, v_spans)
+        return None, None, None, None, *v_tensors, v_viewmats
+
+
+@lru_cache(16)
+def _tasks(counts: tuple[int, ...], most: int, where: torch.device) -> tuple[Tensor, Tensor]:
+    """Work cut into spans of at most ``most`` Gaussians of one object: object [T], first and end [T, 2] int32."""
+    lengths = torch.tensor(counts)
+    pieces = -(-lengths // most)
+    owner = torch.arange(len(lengths)).repeat_interleave(pieces)
+    number = torch.arange(len(owner)) - (pieces.cumsum(0) - pieces)[owner]
+    starts = lengths.cumsum(0) - lengths
+    first = starts[owner] + number * most
+    end = torch.minimum(first + most, (starts + lengths)[owner])
+    return owner.to(where), torch.stack([first, end], 1).int().contiguous().to(where)
 
 
 def _cloud(tensors: Sequence[Tensor]) -> Any:
@@ -98,13 +117,13 @@ def _cloud(tensors: Sequence[Tensor]) -> Any:
 
 def _lens(view: View, objects: Objects, antialiased: bool, viewmats: Tensor) -> Any:
     lens = kernels.Lens()
+    lens.intrinsics = wp.from_torch(torch.tensor(view.lenses, device=viewmats.device), dtype=wp.vec4)
     lens.viewmats = wp.from_torch(viewmats, dtype=wp.mat44)
     lens.object_from_gaussian = wp.from_torch(objects.object_from_gaussian)
-    lens.intrinsics = wp.vec4(*view.intrinsics)
     lens.width, lens.height = float(view.width), float(view.height)
     lens.antialiased = int(antialiased)
     return lens
 
 
 def _records(records: Tensor) -> Any:
-    return wp.from_torch(records, dtype=kernels.record16, return_ctype=True)
+    return wp.from_torch(records.view(-1, 16), dtype=kernels.record16, return_ctype=True)
