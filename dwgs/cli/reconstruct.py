@@ -38,8 +38,9 @@ class Reconstruct:
 
 def clip_key(clip) -> dict:
     """Everything that a result depends on, of a clip."""
-    source = [] if clip.is_street else fingerprint(Path(clip.scene))
-    return {**asdict(clip), "files": source}
+    if clip.is_street:
+        return asdict(clip)
+    return {**asdict(clip), "scene": fingerprint(Path(clip.scene))}  # wherever it was named from
 
 
 def reconstruct_stage(scene: Scene, source: dict, folder: Path, draft: bool, seed: int) -> StageRecord:

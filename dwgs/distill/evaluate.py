@@ -35,7 +35,7 @@ def score(shot: Shot, view: View, body: Splats, shadow: Splats, threads: int) ->
     with torch.no_grad():
         vehicle = project(Splats.cat([body, shadow]), view, threads=threads)
         rendered = shot.frozen.composite(vehicle, view, threads).rgb * shot.frozen.gain
-        alpha = composite(vehicle[: len(body)], view, None, threads).alpha
+        alpha = composite(vehicle[: len(body)], view, threads=threads).alpha
     frame, region = shot.sight.frame, shot.sight.region
     image, target = rendered.numpy(), region.window.of(frame.pixels).astype(np.float32) / 255
     supervised = region.supervised

@@ -37,7 +37,7 @@ class FrozenView:
 
     def composite(self, vehicle: Projected, view: View, threads: int) -> Rendering:
         """The window with the vehicle in it, before exposure."""
-        return composite([vehicle, self.between], view, self.layers, threads)
+        return composite([vehicle, self.between], view, self.layers, threads=threads)
 
     def alone(self, view: View) -> Tensor:
         """[h, w, 3] the window without the vehicle, exposed."""

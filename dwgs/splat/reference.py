@@ -35,7 +35,7 @@ def render(
     if features is None:
         features = splats.means.new_zeros(len(splats), 0)
     alphas, colors = _alphas_and_colors(splats, view, objects, antialiased, features)
-    start = layers.front_transmittance.double() if layers else torch.ones_like(alphas[0])
+    start = layers.front_transmittance.double() if layers else alphas.new_ones(alphas.shape[1:])
     before, end = _transmittances(alphas, start)
     weights = before * alphas * (before >= STOP_TRANSMITTANCE)
     image = torch.einsum("nhw,nc->hwc", weights, colors)
@@ -44,7 +44,7 @@ def render(
         rgb = layers.front_rgb + rgb + end[..., None] * layers.back_rgb
         depth = layers.front_depth + depth + end * layers.back_depth
         alpha = 1 - end * (1 - layers.back_alpha)
-    return Rendering(rgb, depth, alpha, image[..., 4:])
+    return Rendering(rgb, depth, alpha, image[..., 4:], torch.tensor(0))
 
 
 def borderline(
@@ -61,7 +61,7 @@ def borderline(
     """
     nothing = splats.means.new_zeros(len(splats), 0)
     alphas, _ = _alphas_and_colors(splats, view, objects, antialiased, nothing, is_cut=False)
-    start = layers.front_transmittance.double() if layers else torch.ones_like(alphas[0])
+    start = layers.front_transmittance.double() if layers else alphas.new_ones(alphas.shape[1:])
     before, _ = _transmittances(alphas * (alphas >= MIN_ALPHA), start)
     near_rule = [(alphas / MIN_ALPHA - 1).abs() < margin, (before / STOP_TRANSMITTANCE - 1).abs() < margin]
     unclamped = alphas >= MAX_ALPHA * (1 - margin)

@@ -11,13 +11,17 @@ def render(
     splats: Splats,
     view: View,
     layers: Layers | None = None,
+    *,
     objects: Objects | None = None,
     antialiased: bool = False,
     features: Tensor | None = None,
+    capacity: int | None = None,
     threads: int = 2,
 ) -> Rendering:
     """The image of ``splats`` in ``view``; a gradient flows to every field of both, and to the objects' poses.
 
-    See `project` for ``objects`` and ``antialiased``, `composite` for ``layers`` and ``features`` [N, F].
+    See `project` for ``objects`` and ``antialiased``, `composite` for ``layers``, ``features`` [N, F] and
+    ``capacity``.
     """
-    return composite(project(splats, view, objects, antialiased, threads), view, layers, features, threads)
+    projected = project(splats, view, objects=objects, antialiased=antialiased, threads=threads)
+    return composite(projected, view, layers, features=features, capacity=capacity, threads=threads)

@@ -96,7 +96,7 @@ class View:
         first = views[0]
         return View(
             torch.stack([view.viewmat for view in views]),
-            tuple(lens for view in views for lens in view.lenses),
+            tuple(view.intrinsics for view in views),
             first.width,
             first.height,
         )
@@ -111,10 +111,10 @@ class View:
         """[V, 4, 4], of a single view too."""
         return self.viewmat if self.is_batch else self.viewmat[None]
 
-    @property
-    def lenses(self) -> tuple:
-        """[V] times fx, fy, cx, cy, of a single view too."""
-        return self.intrinsics if self.is_batch else (self.intrinsics,)
+    @cached_property
+    def lenses(self) -> Tensor:
+        """[V, 4] fx, fy, cx, cy, of a single view too, where the viewmats are."""
+        return torch.tensor(self.intrinsics, dtype=torch.float32, device=self.viewmat.device).view(-1, 4)
 
     @property
     def tiles(self) -> tuple[int, int]:
@@ -199,7 +199,8 @@ class Projected:
 
     Gradients flow through the first ten. The rest describes the ellipse alpha = 1/255, dx and dy off the mean: it is
     exactly ``extent`` wide and high, highest (dy = extent y) at dx = summit, and at any dx it lies between
-    ``tilt dx - h`` and ``tilt dx + h`` with ``h = waist sqrt(1 - (dx / extent x)^2)``.
+    ``tilt dx - h`` and ``tilt dx + h`` with ``h = waist sqrt(1 - (dx / extent x)^2)``. Where the extent is zero the
+    13th is 1 for a Gaussian that is not finite.
     """
 
     def __len__(self) -> int:
@@ -233,6 +234,11 @@ class Projected:
         """[N] whether drawn."""
         return self.records[..., 10] > 0
 
+    @property
+    def broken(self) -> Tensor:
+        """[N] whether not drawn because some number of the Gaussian is not finite."""
+        return (self.records[..., 10] == 0) & (self.records[..., 12] != 0)
+
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
@@ -246,6 +252,8 @@ class Rendering:
     """[H, W] sum of weights."""
     features: Tensor
     """[H, W, F] sums of weight times feature, of the Gaussians drawn between any layers; F may be 0."""
+    intersections: Tensor
+    """[] int64 how many tiles all the Gaussians touched; those beyond a capacity are missing."""
 
     @property
     def expected_depth(self) -> Tensor:

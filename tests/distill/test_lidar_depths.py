@@ -70,6 +70,6 @@ def test_returns_on_a_recorded_car_drive_with_it_to_the_cameras_time(toy):
 @pytest.mark.parametrize(("is_bound", "error"), [(False, 0.3125), (True, 0.1875)])
 def test_the_error_is_relative_and_one_sided_before_the_street(is_bound, error):
     depth = torch.full((2, 2), 5.0)
-    rendering = Rendering(torch.zeros(2, 2, 3), depth, torch.full((2, 2), 0.5))
+    rendering = Rendering(torch.zeros(2, 2, 3), depth, torch.full((2, 2), 0.5), torch.zeros(2, 2, 0), torch.tensor(0))
     lidar = LidarDepths(torch.tensor([0, 3]), torch.tensor([16.0, 8.0]), is_bound)
     assert lidar.error(rendering).item() == pytest.approx(error)

@@ -10,7 +10,7 @@ from dwgs.splat import Layers, Rendering, View, composite, project, reference, r
 
 
 def weighted(rendering: Rendering) -> torch.Tensor:
-    """A loss that looks at every output, differently at every pixel."""
+    """A loss that looks at every image, differently at every pixel."""
     random = torch.Generator().manual_seed(7)
     outputs = (rendering.rgb, rendering.depth, rendering.alpha, rendering.features)
     return sum((o * torch.randn(o.shape, generator=random)).sum() for o in outputs)
@@ -29,6 +29,7 @@ def test_features_and_their_gradients_equal_the_reference(make_cloud, make_view,
             rendering.depth * inside,
             rendering.alpha * inside,
             rendering.features * inside[..., None],
+            rendering.intersections,
         )
         shown.append((masked, torch.autograd.grad(weighted(masked), tensors)))
     (ours, v_ours), (theirs, v_theirs) = shown
@@ -70,7 +71,7 @@ def test_a_batch_is_its_views(make_cloud, make_view, leaves):
     singles = [render(splats, v, one, features=features) for v, one in zip(views, layers, strict=True)]
     joined = Rendering(*(torch.stack([getattr(s, f) for s in singles]) for f in Rendering.__dataclass_fields__))
     batch = render(splats, View.batch(views), stacked, features=features)
-    for name in Rendering.__dataclass_fields__:
+    for name in ("rgb", "depth", "alpha", "features"):
         assert torch.equal(getattr(batch, name), getattr(joined, name))
     v_joined, v_batch = (torch.autograd.grad(weighted(r), tensors) for r in (joined, batch))
     for a, b in zip(v_joined, v_batch, strict=True):
@@ -80,3 +81,29 @@ def test_a_batch_is_its_views(make_cloud, make_view, leaves):
 def test_views_of_a_batch_have_one_size(make_view):
     with pytest.raises(InputError, match="single views of one size"):
         View.batch([make_view(width=20), make_view(width=30)])
+
+
+def test_room_for_intersections_changes_nothing_while_there_is_enough(make_cloud, make_view, leaves):
+    splats, view = make_cloud(), make_view()
+    tensors = leaves(splats)
+    counted = render(splats, view)
+    total = int(counted.intersections)
+    for capacity in (total, 3 * total):
+        roomy = render(splats, view, capacity=capacity)
+        assert torch.equal(roomy.rgb, counted.rgb)
+        assert int(roomy.intersections) == total
+        for a, b in zip(
+            *(torch.autograd.grad(weighted(r), tensors) for r in (roomy, render(splats, view))), strict=True
+        ):
+            assert torch.equal(a, b)
+
+
+def test_too_little_room_is_told_and_harms_nothing(make_cloud, make_view, leaves):
+    splats, view = make_cloud(), make_view()
+    tensors = leaves(splats)
+    total = int(render(splats, view).intersections)
+    for capacity in (0, 1, total // 2, total - 1):
+        cramped = render(splats, view, capacity=capacity)
+        assert int(cramped.intersections) == total > capacity
+        assert cramped.rgb.isfinite().all()
+        assert all(v.isfinite().all() for v in torch.autograd.grad(weighted(cramped), tensors))

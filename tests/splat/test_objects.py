@@ -28,7 +28,7 @@ def test_image_and_gradients_equal_the_reference(make_cloud, make_view, leaves, 
     tensors = [*leaves(splats, view), objects.world_from_object.requires_grad_()]
     inside = (~reference.borderline(splats, view, None, objects, antialiased)).float()
     assert inside.mean() > 0.98
-    ours = render(splats, view, None, objects, antialiased)
+    ours = render(splats, view, objects=objects, antialiased=antialiased)
     theirs = reference.render(splats, view, None, objects, antialiased)
     assert ((ours.rgb - theirs.rgb).abs() * inside[..., None]).max() < IMAGE_TOLERANCE
     for a, b in zip(gradients(ours, tensors, inside), gradients(theirs, tensors, inside), strict=True):

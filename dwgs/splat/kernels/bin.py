@@ -87,25 +87,30 @@ def emit(
     values: wp.array(dtype=int),
     gaussian_from_isect: wp.array(dtype=int),
 ):
-    """Write the intersections of each Gaussian: tile, own index, Gaussian."""
+    """Write the intersections of each Gaussian: tile, own index, Gaussian; those for which there is room."""
     rank = first + wp.tid()
     gaussian = gaussian_from_rank[rank]
     area = areas[gaussian]
     isect = ends[rank] - (area[1] - area[0]) * (area[3] - area[2])
     for row in range(area[2], area[3]):
         for column in range(area[0], area[1]):
-            keys[isect] = row * tiles[0] + column
-            values[isect] = isect
-            gaussian_from_isect[isect] = gaussian
+            if isect < gaussian_from_isect.shape[0]:
+                keys[isect] = row * tiles[0] + column
+                values[isect] = isect
+                gaussian_from_isect[isect] = gaussian
             isect += 1
 
 
 @wp.kernel
 def find_ranges(first: int, tile_from_sorted: wp.array(dtype=int), count: int, ranges: wp.array(dtype=wp.vec2i)):
-    """First and one past the last sorted intersection of each tile; ``ranges`` starts as zeros."""
+    """First and one past the last sorted intersection of each tile; ``ranges`` starts as zeros.
+
+    Room that was left over bears the number after the last tile.
+    """
     k = first + wp.tid()
     tile = tile_from_sorted[k]
-    if k == 0 or tile_from_sorted[wp.max(k - 1, 0)] != tile:
-        ranges[tile][0] = k
-    if k == count - 1 or tile_from_sorted[wp.min(k + 1, count - 1)] != tile:
-        ranges[tile][1] = k + 1
+    if tile < ranges.shape[0]:
+        if k == 0 or tile_from_sorted[wp.max(k - 1, 0)] != tile:
+            ranges[tile][0] = k
+        if k == count - 1 or tile_from_sorted[wp.min(k + 1, count - 1)] != tile:
+            ranges[tile][1] = k + 1

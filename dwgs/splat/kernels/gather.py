@@ -37,8 +37,8 @@ def gather(
         begin = int(0)  # noqa: RUF046, UP018  (a variable, not a constant)
         if rank > 0:
             begin = ends[rank - 1]
+        end = wp.min(ends[rank] * parts, slots.shape[0])  # there may have been no room for more
         begin *= parts
-        end = ends[rank] * parts
         row = gaussian / per_view * trainable + index
         total = slot10()
         for k in range(begin, end):

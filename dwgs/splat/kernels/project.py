@@ -155,6 +155,10 @@ def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record
     quat = cloud.quats[i]
     squared = wp.dot(quat, quat)
     record = record16()
+    scale = cloud.scales[i]
+    check = mean[0] + mean[1] + mean[2] + quat[0] + quat[1] + quat[2] + quat[3]
+    check += scale[0] + scale[1] + scale[2] + opacity
+    is_finite = wp.isfinite(check)
     if wp.isfinite(p[2]):
         record[9] = p[2]
     if p[2] > NEAR and opacity > MIN_ALPHA and squared > 0.0:
@@ -162,7 +166,7 @@ def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record
         q = wp.mat33d(R) @ wp.vec3d(mean) + wp.vec3d(t)
         x = float(wp.float64(fx) * q[0] / q[2] + wp.float64(cx))
         y = float(wp.float64(fy) * q[1] / q[2] + wp.float64(cy))
-        m = jacobian(p, fx, fy) @ R @ rotation_from_quat(quat / wp.sqrt(squared)) @ wp.diag(cloud.scales[i])
+        m = jacobian(p, fx, fy) @ R @ rotation_from_quat(quat / wp.sqrt(squared)) @ wp.diag(scale)
         covariance = covariance_of(m)
         if lens.antialiased != 0:
             opacity *= compensation_of(m)
@@ -186,12 +190,15 @@ def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record
             summit = covariance[1] / covariance[2] * extent_y
             waist = wp.sqrt(reach * determinant / covariance[0])
             total = x + y + extent_x + extent_y + conic[0] + conic[1] + conic[2] + color[0] + color[1] + color[2]
-            if wp.isfinite(total + tilt + summit + waist):
+            is_finite = is_finite and wp.isfinite(total + tilt + summit + waist)
+            if is_finite:
                 record = record16(
                     x, y, conic[0], conic[1], conic[2], opacity,
                     wp.max(color[0], 0.0), wp.max(color[1], 0.0), wp.max(color[2], 0.0),
                     p[2], extent_x, extent_y, wp.log(opacity), tilt, summit, waist,
                 )  # fmt: skip
+    if not is_finite:
+        record[12] = 1.0
     records[index] = record
 
 

@@ -47,12 +47,16 @@ class Binned:
         return bins
 
 
-def bin(records: Tensor, view: View, threads: int) -> Binned:
-    """Sort the records [V, N, 16] by depth, cut them by tile."""
+def bin(records: Tensor, view: View, capacity: int | None, threads: int) -> Binned:
+    """Sort the records [V, N, 16] by depth, cut them by tile.
+
+    Without a ``capacity`` memory is sized by the number of intersections, and a GPU is waited for to know it.
+    """
     views, per_view, _ = records.shape
     n, where = views * per_view, records.device
     device = wp.device_from_torch(where)
     tiles_across, tiles_down = view.tiles
+    count = views * tiles_across * tiles_down
     tiles = wp.vec2i(tiles_across, tiles_down)
     in_records = wp.from_torch(records.view(-1, 16), dtype=record16, return_ctype=True)
 
@@ -68,16 +72,19 @@ def bin(records: Tensor, view: View, threads: int) -> Binned:
     in_ends = wp.from_torch(ends)
     launch(kernels.count_tiles, n, [areas, order, in_ends], device, threads)
     wp.utils.array_scan(in_ends, in_ends, inclusive=True)
-    m = int(ends[-1]) if n else 0
+    m = capacity if capacity is not None else int(ends[-1]) if n else 0
 
-    tile_keys = wp.from_torch(scratch("tile", 2 * m, torch.int32, where))
+    keys = scratch("tile", 2 * m, torch.int32, where)
+    if capacity is not None:
+        keys.fill_(count)
+    tile_keys = wp.from_torch(keys)
     isects = scratch("isect", 2 * m, torch.int32, where)
     sorted_isects = wp.from_torch(isects)
     gaussian_from_isect = torch.empty(m, dtype=torch.int32, device=where)
     outputs = [tile_keys, sorted_isects, wp.from_torch(gaussian_from_isect)]
     launch(kernels.emit, n, [areas, order, in_ends, tiles, *outputs], device, threads)
-    wp.utils.radix_sort_pairs(tile_keys, sorted_isects, m, 0, (views * tiles_across * tiles_down - 1).bit_length())
+    wp.utils.radix_sort_pairs(tile_keys, sorted_isects, m, 0, count.bit_length())
 
-    ranges = torch.zeros(views * tiles_across * tiles_down, 2, dtype=torch.int32, device=where)
+    ranges = torch.zeros(count, 2, dtype=torch.int32, device=where)
     launch(kernels.find_ranges, m, [tile_keys, m, wp.from_torch(ranges, dtype=wp.vec2i)], device, threads)
     return Binned(ranked[:n].clone(), ends, gaussian_from_isect, isects[:m].clone(), ranges)

@@ -23,7 +23,9 @@ def composite(
     projected: Projected | list[Projected],
     view: View,
     layers: Layers | None = None,
+    *,
     features: Tensor | None = None,
+    capacity: int | None = None,
     threads: int = 2,
 ) -> Rendering:
     """The image of records, near over far, between the ``layers`` of a frozen scene where they are given.
@@ -36,6 +38,8 @@ def composite(
         view: The camera, or a batch of them.
         layers: What stands before and behind all of it.
         features: [N, F] further channels of the Gaussians, in order of all ``projected``: composited like colours.
+        capacity: Room for so many intersections of Gaussians with tiles. With it a GPU is never waited for, so that a
+            step can be captured in a graph; `Rendering.intersections` tells afterwards whether it was enough.
         threads: On a CPU.
     """
     parts = projected if isinstance(projected, list) else [projected]
@@ -45,7 +49,7 @@ def composite(
         raise InputError(
             f"features are float32 [{sum(map(len, parts))}, F], got {features.dtype} {tuple(features.shape)}"
         )
-    images = _Composite.apply(view, layers, threads, features, *(p.records for p in parts))
+    images = _Composite.apply(view, layers, capacity, threads, features, *(p.records for p in parts))
     return Rendering(*images)
 
 
@@ -57,8 +61,16 @@ PLANES = 5
 
 class _Composite(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, view: View, layers: Layers | None, threads: int, features: Tensor, *parts: Tensor):
-        needs = [need or ctx.needs_input_grad[3] for need in ctx.needs_input_grad[4:]]
+    def forward(
+        ctx: Any,
+        view: View,
+        layers: Layers | None,
+        capacity: int | None,
+        threads: int,
+        features: Tensor,
+        *parts: Tensor,
+    ):
+        needs = [need or ctx.needs_input_grad[4] for need in ctx.needs_input_grad[5:]]
         order = sorted(range(len(parts)), key=lambda k: not needs[k])  # trainable first
         counts = [part.shape[-2] for part in parts]
         pieces = [part.detach() if view.is_batch else part.detach()[None] for part in parts]
@@ -71,9 +83,9 @@ class _Composite(torch.autograd.Function):
         shape = (views, PLANES + feature.shape[1], *whole_tiles(view.height, view.width))
         image = torch.empty(shape, device=where)
         with torch_stream(where):
-            binned = bin(records, view, threads)
+            binned = bin(records, view, capacity, threads)
             inputs = [_canvas(view, records, layers, feature), binned.to_warp(), _records(records), _flat(image)]
-            spans = binned.chunks(threads * CHUNKS_PER_THREAD)
+            spans = binned.chunks(threads * CHUNKS_PER_THREAD) if where.type == "cpu" else [0, len(binned.ranges)]
             _draw("composite", inputs, spans, where, threads)
         ctx.inputs, ctx.binned, ctx.spans, ctx.threads = inputs, binned, spans, threads
         ctx.order, ctx.counts, ctx.needs, ctx.shapes = order, counts, needs, [part.shape for part in parts]
@@ -82,7 +94,9 @@ class _Composite(torch.autograd.Function):
         inside = image[..., : view.height, : view.width]
         inside = inside if view.is_batch else inside[0]
         rgb, rest = inside[..., :3, :, :].movedim(-3, -1), inside[..., PLANES:, :, :].movedim(-3, -1)
-        return rgb, inside[..., 3, :, :], inside[..., 4, :, :], rest
+        intersections = binned.ends[-1:].sum()
+        ctx.mark_non_differentiable(intersections)
+        return rgb, inside[..., 3, :, :], inside[..., 4, :, :], rest, intersections
 
     @staticmethod
     @once_differentiable
@@ -91,7 +105,7 @@ class _Composite(torch.autograd.Function):
         binned, where = ctx.binned, records.device
         trainable = sum(count for count, need in zip(ctx.counts, ctx.needs, strict=True) if need)
         v_image = scratch("v_image", image.numel(), torch.float32, where).view(image.shape)
-        _write_gradient(v_image, *grad_outputs)
+        _write_gradient(v_image, *grad_outputs[:4])
         split = _SCHEMES[where.type].SLOTS
         count = split * len(binned.gaussian_from_isect)
         slots = scratch("slots", 10 * count, torch.float32, where).view(-1, 10)
@@ -108,7 +122,7 @@ class _Composite(torch.autograd.Function):
         with torch_stream(where):
             _draw("composite_adjoint", inputs, ctx.spans, where, ctx.threads)
             launch(gather, len(binned.ends), to_gather, wp.device_from_torch(where), ctx.threads)
-        return None, None, None, *_by_part(ctx, v_records, v_features)
+        return None, None, None, None, *_by_part(ctx, v_records, v_features)
 
 
 def _by_part(ctx: Any, v_records: Tensor, v_features: Tensor) -> list[Tensor | None]:
@@ -116,7 +130,7 @@ def _by_part(ctx: Any, v_records: Tensor, v_features: Tensor) -> list[Tensor | N
     trainable = [k for k in ctx.order if ctx.needs[k]]
     pieces = dict(zip(trainable, v_records.split([ctx.counts[k] for k in trainable], 1), strict=True))
     v_parts = [pieces[k].view(shape) if k in pieces else None for k, shape in enumerate(ctx.shapes)]
-    if not ctx.needs_input_grad[3]:
+    if not ctx.needs_input_grad[4]:
         return [None, *v_parts]
     rows = dict(zip(trainable, v_features.sum(0).split([ctx.counts[k] for k in trainable]), strict=True))
     return [torch.cat([rows[k] for k in range(len(ctx.counts))]), *v_parts]

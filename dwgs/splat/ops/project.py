@@ -20,7 +20,7 @@ _GAUSSIANS_PER_TASK = {"cpu": 256, "cuda": 1}
 
 
 def project(
-    splats: Splats, view: View, objects: Objects | None = None, antialiased: bool = False, threads: int = 2
+    splats: Splats, view: View, *, objects: Objects | None = None, antialiased: bool = False, threads: int = 2
 ) -> Projected:
     """One record per view and Gaussian; a gradient flows to ``splats``, to ``view.viewmat`` and to the objects' poses.
 
@@ -117,7 +117,7 @@ def _cloud(tensors: Sequence[Tensor]) -> Any:
 
 def _lens(view: View, objects: Objects, antialiased: bool, viewmats: Tensor) -> Any:
     lens = kernels.Lens()
-    lens.intrinsics = wp.from_torch(torch.tensor(view.lenses, device=viewmats.device), dtype=wp.vec4)
+    lens.intrinsics = wp.from_torch(view.lenses, dtype=wp.vec4)
     lens.viewmats = wp.from_torch(viewmats, dtype=wp.mat44)
     lens.object_from_gaussian = wp.from_torch(objects.object_from_gaussian)
     lens.width, lens.height = float(view.width), float(view.height)
