@@ -34,7 +34,9 @@ def render(
     """What `dwgs.splat.render` approximates, for one view; tensors of any float type in, float64 out."""
     if features is None:
         features = splats.means.new_zeros(len(splats), 0)
-    alphas, colors = _alphas_and_colors(splats, view, objects, antialiased, features)
+    records, index = project(splats, view, objects, antialiased)
+    alphas, colors = _alphas(records, view), torch.cat([records[:, 6:], features.double()[index]], 1)
+    alphas = alphas * (alphas >= MIN_ALPHA)
     start = layers.front_transmittance.double() if layers else alphas.new_ones(alphas.shape[1:])
     before, end = _transmittances(alphas, start)
     weights = before * alphas * (before >= STOP_TRANSMITTANCE)
@@ -59,8 +61,7 @@ def borderline(
 
     There the image or its gradient jumps, and float32 may fall on the other side.
     """
-    nothing = splats.means.new_zeros(len(splats), 0)
-    alphas, _ = _alphas_and_colors(splats, view, objects, antialiased, nothing, is_cut=False)
+    alphas = _alphas(project(splats, view, objects, antialiased)[0], view)
     start = layers.front_transmittance.double() if layers else alphas.new_ones(alphas.shape[1:])
     before, _ = _transmittances(alphas * (alphas >= MIN_ALPHA), start)
     near_rule = [(alphas / MIN_ALPHA - 1).abs() < margin, (before / STOP_TRANSMITTANCE - 1).abs() < margin]
@@ -77,10 +78,10 @@ def _transmittances(alphas: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
     return torch.stack(before) if before else alphas, light
 
 
-def _alphas_and_colors(
-    splats: Splats, view: View, objects: Objects | None, antialiased: bool, features: Tensor, is_cut: bool = True
+def project(
+    splats: Splats, view: View, objects: Objects | None = None, antialiased: bool = False
 ) -> tuple[Tensor, Tensor]:
-    """Alphas [N, H, W] and (r, g, b, z, features) [N, 4 + F] of drawable Gaussians, nearest first."""
+    """Records [D, 10] of drawable Gaussians, nearest first, as in `Projected.records`; and which they are [D]."""
     means, quats, scales, opacities, sh = (getattr(splats, f.name).double() for f in fields(splats))
     viewmats = view.viewmat.double().expand(len(means), 4, 4)
     if objects is not None:
@@ -89,13 +90,10 @@ def _alphas_and_colors(
     R, t = viewmats[:, :3, :3], viewmats[:, :3, 3]
     points = torch.einsum("nij,nj->ni", R, means) + t
     finite = torch.stack([x.flatten(1).isfinite().all(1) for x in (means, quats, scales, opacities[:, None], sh)])
-    drawn = finite.all(0) & (points[:, 2] > NEAR) & (opacities > MIN_ALPHA)
-    means, quats, scales, opacities, sh, points, R, t, features = (
-        x[drawn] for x in (means, quats, scales, opacities, sh, points, R, t, features.double())
-    )
-    order = points[:, 2].argsort(stable=True)
-    means, quats, scales, opacities, sh, points, R, t, features = (
-        x[order] for x in (means, quats, scales, opacities, sh, points, R, t, features)
+    drawn = (finite.all(0) & (points[:, 2] > NEAR) & (opacities > MIN_ALPHA)).nonzero()[:, 0]
+    index = drawn[points[drawn, 2].argsort(stable=True)]
+    means, quats, scales, opacities, sh, points, R, t = (
+        x[index] for x in (means, quats, scales, opacities, sh, points, R, t)
     )
 
     fx, fy, cx, cy = view.intrinsics
@@ -108,23 +106,23 @@ def _alphas_and_colors(
     covariances = sharp + LOW_PASS * torch.eye(2, dtype=M.dtype)
     if antialiased:
         opacities = opacities * (sharp.det() / covariances.det()).clamp_min(1e-12).sqrt()
-    means2d = torch.stack([fx * x / z + cx, fy * y / z + cy], 1)
-
-    rows = torch.arange(view.height, dtype=M.dtype) + 0.5
-    columns = torch.arange(view.width, dtype=M.dtype) + 0.5
-    pixels = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1)
-    offsets = pixels - means2d[:, None, None]
     conics = covariances.inverse()
-    powers = -0.5 * torch.einsum("nhwi,nij,nhwj->nhw", offsets, conics, offsets)
-    alphas = (opacities[:, None, None] * powers.exp()).clamp_max(MAX_ALPHA)
-    if is_cut:
-        alphas = alphas * (alphas >= MIN_ALPHA)
 
     rays = means + torch.einsum("nij,ni->nj", R, t)
     directions = rays / rays.norm(dim=1, keepdim=True)
     basis = _sh_basis(directions)[:, : sh.shape[1]]
     colors = (0.5 + torch.einsum("nk,nkc->nc", basis, sh)).clamp_min(0)
-    return alphas, torch.cat([colors, z[:, None], features], 1)
+    columns = [fx * x / z + cx, fy * y / z + cy, conics[:, 0, 0], conics[:, 0, 1], conics[:, 1, 1], opacities]
+    return torch.cat([torch.stack(columns, 1), colors, z[:, None]], 1), index
+
+
+def _alphas(records: Tensor, view: View) -> Tensor:
+    """[D, H, W] of records [D, 10], clamped but not cut."""
+    rows = torch.arange(view.height, dtype=records.dtype) + 0.5
+    columns = torch.arange(view.width, dtype=records.dtype) + 0.5
+    x, y, xx, xy, yy, opacity = (field[:, None, None] for field in records[:, :6].unbind(1))
+    dx, dy = columns - x, rows[:, None] - y
+    return (opacity * (-0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy).exp()).clamp_max(MAX_ALPHA)
 
 
 def _rotation(quats: Tensor) -> Tensor:
