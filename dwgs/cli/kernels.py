@@ -6,11 +6,13 @@ import warp as wp
 def compile_all() -> None:
     """Compile what runs on the CPU, module by module; what is compiled already is only loaded."""
     import dwgs.splat.parallel as splat
+    from dwgs.optimize import kernels as optimize
     from dwgs.street import build_street
     from generator.conditions import kernels as conditions
 
     splat.load(wp.get_device("cpu"))
-    wp.load_module(conditions.__name__, device="cpu")
+    for module in (optimize, conditions):
+        wp.load_module(module.__name__, device="cpu")
     build_street(frames=1, width=16, height=16).pixels(0)
 
 

@@ -33,9 +33,9 @@ class Score:
 def score(shot: Shot, view: View, body: Splats, shadow: Splats, threads: int) -> tuple[Score, NDArray[np.float32]]:
     """Score one frame, and the window [h, w, 3] as it is rendered."""
     with torch.no_grad():
-        vehicle = project(Splats.cat([body, shadow]), view, threads=threads)
+        vehicle = [project(part, view, threads=threads) for part in (body, shadow)]
         rendered = shot.frozen.composite(vehicle, view, threads).rgb * shot.frozen.gain
-        alpha = composite(vehicle[: len(body)], view, threads=threads).alpha
+        alpha = composite(vehicle[0], view, threads=threads).alpha
     frame, region = shot.sight.frame, shot.sight.region
     image, target = rendered.numpy(), region.window.of(frame.pixels).astype(np.float32) / 255
     supervised = region.supervised

@@ -117,8 +117,8 @@ def _fit(
         view = shot.view
         if poses is not None and step > len(learnt):
             view = shot.view_at(poses.old_from_new(i))
-        vehicle = Splats.cat([part.splats() for part in parts])
-        rendering = shot.frozen.composite(project(vehicle, view, threads=config.threads), view, config.threads)
+        vehicle = [project(part.splats(), view, threads=config.threads) for part in parts]
+        rendering = shot.frozen.composite(vehicle, view, config.threads)
         loss = _photometric(rendering.rgb * shot.frozen.gain, shot, recipe, squared_errors, i)
         if shot.lidar is not None and config.lidar_weight > 0:
             loss = loss + config.lidar_weight * shot.lidar.error(rendering)

@@ -35,9 +35,9 @@ class FrozenView:
     gain: Tensor
     """[3] exposure of this camera, on the composited colour."""
 
-    def composite(self, vehicle: Projected, view: View, threads: int) -> Rendering:
-        """The window with the vehicle in it, before exposure."""
-        return composite([vehicle, self.between], view, self.layers, threads=threads)
+    def composite(self, vehicle: list[Projected], view: View, threads: int) -> Rendering:
+        """The window with the parts of a vehicle in it, before exposure."""
+        return composite([*vehicle, self.between], view, self.layers, threads=threads)
 
     def alone(self, view: View) -> Tensor:
         """[h, w, 3] the window without the vehicle, exposed."""

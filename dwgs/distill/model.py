@@ -1,7 +1,5 @@
 """The vehicle while it is learnt: body and shadow, each kept in its place, and the poses of its box."""
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -42,9 +40,7 @@ class Part:
         self, gaussians: Gaussians, rates: Rates, bounds: NDArray[np.float64], max_scales: tuple[float, ...]
     ) -> None:
         self.bounds = bounds
-        self._low, self._high = (torch.from_numpy(corner.astype(np.float32)) for corner in bounds)
-        self._max_scales = torch.tensor(max_scales)
-        self._parameters = SplatParameters(gaussians, rates)
+        self._parameters = SplatParameters(gaussians, rates, bounds=bounds, max_scales=max_scales)
         self._average: Tensor | None = None
         self._averaged = 0
 
@@ -53,10 +49,7 @@ class Part:
 
     def splats(self) -> Splats:
         """The activated Gaussians, differentiable."""
-        splats = self._parameters.splats()
-        means = _kept(splats.means, torch.clamp(splats.means.detach(), self._low, self._high))
-        scales = _kept(splats.scales, torch.minimum(splats.scales.detach(), self._max_scales))
-        return replace(splats, means=means, scales=scales)
+        return self._parameters.splats()
 
     def step(self, factor: float, is_averaged: bool) -> None:
         """One step of Adam, rates times ``factor``; ``is_averaged`` adds it to the mean of `finish`."""
@@ -70,14 +63,8 @@ class Part:
         """The mean over the averaged steps, without what is too faint ever to be drawn."""
         if self._average is not None:
             self._parameters.load_flat(self._average)
-        with torch.no_grad():
-            gaussians = self.splats().to_gaussians()
+        gaussians = self._parameters.to_gaussians()
         return gaussians[gaussians.opacities >= CUT]
-
-
-def _kept(free: Tensor, bounded: Tensor) -> Tensor:
-    """The bounded value with the free one's gradient: what has left its bounds can find back."""
-    return free + (bounded - free.detach())
 
 
 def body_bounds(size: NDArray) -> NDArray[np.float64]:

@@ -1,15 +1,25 @@
 """Trainable parameters: the one place, with the codecs, that knows logs and logits."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+import warp as wp
+from numpy.typing import NDArray
 from torch import Tensor
 
+from dwgs.optimize import kernels
 from dwgs.scene import Gaussians
 from dwgs.splat import Splats
+from dwgs.splat.parallel import launch
 
 MAX_OPACITY = 1 - 1e-5
 """Beyond it the logit saturates in float32."""
+EPSILON = 1e-15
+"""Adam's, where nothing shall be still."""
+CHUNKS = 4
+"""Parts of a large group, for two threads to share."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,58 +44,79 @@ class Rates:
 class SplatParameters:
     """Gaussians as an optimiser wants them: unbounded, each group with its own rate, growing and shrinking.
 
-    Means move in units of ``mean_step_scale`` [N]: to move as many pixels, a far Gaussian takes longer steps.
+    `splats` gives activated leaves; what a loss leaves as their gradients `step` carries to the parameters
+    themselves, through the activations' derivatives, in one pass of Adam over memory.
+
+    Args:
+        gaussians: Where they begin.
+        rates: How far they step.
+        mean_step_scale: [N] means move in units of this: to move as many pixels, a far Gaussian takes longer steps.
+        bounds: [2, 3] lowest and highest place of a centre [m]; what has left it can find back.
+        max_scales: [3] largest standard deviations [m].
     """
 
     def __init__(
-        self, gaussians: Gaussians, rates: Rates, mean_step_scale: Tensor | None = None, device: str = "cpu"
+        self,
+        gaussians: Gaussians,
+        rates: Rates,
+        mean_step_scale: Tensor | None = None,
+        bounds: NDArray | None = None,
+        max_scales: Sequence[float] | None = None,
     ) -> None:
         self.rates = rates
-        self.device = device
-        self._raw: dict[str, Tensor] = {}
-        self._install(self._raw_from(gaussians, mean_step_scale), {})
+        self._low, self._high = (None, None) if bounds is None else torch.from_numpy(np.float32(bounds)).unbind(0)
+        self._max_scales = None if max_scales is None else torch.tensor(max_scales)
+        self._steps = 0
+        raw = self._raw_from(gaussians, mean_step_scale)
+        self._install(raw, {name: [torch.zeros_like(raw[name]) for _ in range(2)] for name in _GROUPS})
 
     def __len__(self) -> int:
         return len(self._raw["opacities"])
 
     def splats(self) -> Splats:
-        """The activated Gaussians, differentiable."""
-        raw = self._raw
-        return Splats(
-            raw["origins"] + raw["means"] * raw["step_scales"],
-            raw["quats"],
-            raw["scales"].exp(),
-            raw["opacities"].sigmoid(),
-            torch.cat([raw["sh_dc"], raw["sh_rest"]], 1) if raw["sh_rest"].shape[1] else raw["sh_dc"],
-        )
+        """The activated Gaussians; a gradient flows to them, until the next `step`."""
+        if self._splats is None:
+            raw = self._raw
+            means = torch.addcmul(raw["origins"], raw["means"], raw["step_scales"])
+            scales, opacities = raw["scales"].exp(), raw["opacities"].sigmoid()
+            if self._low is not None:
+                means = means.clamp_(self._low, self._high)
+            if self._max_scales is not None:
+                scales = torch.minimum(scales, self._max_scales, out=scales)
+            leaves = (means, raw["quats"], scales, opacities, raw["sh"])
+            self._splats = Splats(*(leaf.detach().requires_grad_() for leaf in leaves))
+        return self._splats
 
     def step(self, factor: float = 1.0) -> None:
         """One step of Adam along the gradients, rates times ``factor``; the gradients are used up."""
-        for group in self._optimizer.param_groups:
-            group["lr"] = group["rate"] * factor
-            moments = self._optimizer.state.get(group["params"][0])
-            if moments and self.rates.stillness > 0 and moments["exp_avg_sq"].numel():
-                group["eps"] = self.rates.stillness * moments["exp_avg_sq"].mean().sqrt().item()
-        self._optimizer.step()
-        self._optimizer.zero_grad(set_to_none=True)
+        if self._splats is None:
+            return
+        self._steps += 1
+        beta1, beta2 = self.rates.betas
+        numbers = [beta1, beta2, 1 / (1 - beta1**self._steps), (1 - beta2**self._steps) ** -0.5]
+        opacities = self._splats.opacities.detach()
+        derivatives = {
+            "means": self._raw["mean_derivative"],
+            "scales": self._splats.scales.detach(),
+            "opacities": opacities * (1 - opacities),
+        }
+        for name in _GROUPS:
+            gradient = getattr(self._splats, name).grad
+            if gradient is not None and gradient.numel():
+                self._step_group(name, gradient.contiguous(), derivatives.get(name), factor, numbers)
+        self._splats = None
 
     def append(self, gaussians: Gaussians, mean_step_scale: Tensor | None = None) -> None:
         """Add Gaussians; the optimiser knows nothing of them yet and keeps what it knows of the others."""
         fresh = self._raw_from(gaussians, mean_step_scale)
-        raw = {name: torch.cat([self._raw[name].detach(), fresh[name]]) for name in fresh}
-        state = self._state()
-        for name in state:
-            for moment in ("exp_avg", "exp_avg_sq"):
-                state[name][moment] = torch.cat([state[name][moment], torch.zeros_like(fresh[name])])
-        self._install(raw, state)
+        raw = {name: torch.cat([self._raw[name], fresh[name]]) for name in fresh}
+        nothing = {name: torch.zeros_like(fresh[name]) for name in _GROUPS}
+        self._install(raw, {name: [torch.cat([m, nothing[name]]) for m in self._moments[name]] for name in _GROUPS})
 
     def keep(self, mask: Tensor) -> None:
         """Keep only the Gaussians where ``mask`` [N] is True."""
-        state = self._state()
-        for name in state:
-            for moment in ("exp_avg", "exp_avg_sq"):
-                state[name][moment] = state[name][moment][mask]
-        self._install({name: values.detach()[mask] for name, values in self._raw.items()}, state)
+        moments = {name: [moment[mask] for moment in self._moments[name]] for name in _GROUPS}
+        self._install({name: values[mask] for name, values in self._raw.items()}, moments)
 
     def to_gaussians(self) -> Gaussians:
         """A detached copy, activated."""
@@ -93,51 +124,82 @@ class SplatParameters:
 
     def flat(self) -> Tensor:
         """A detached copy of all parameters in one vector: what an average over steps is taken of."""
-        return torch.cat([self._raw[name].detach().reshape(-1) for name in self._trainable])
+        return torch.cat([self._raw[name].reshape(-1) for name in _GROUPS])
 
     def load_flat(self, flat: Tensor) -> None:
         """Put back what `flat` gave."""
-        with torch.no_grad():
-            start = 0
-            for name in self._trainable:
-                values = self._raw[name]
-                values.copy_(flat[start : start + values.numel()].view_as(values))
-                start += values.numel()
-
-    _trainable = ("means", "quats", "scales", "opacities", "sh_dc", "sh_rest")
+        sizes = [self._raw[name].numel() for name in _GROUPS]
+        for name, part in zip(_GROUPS, flat.split(sizes), strict=True):
+            self._raw[name].copy_(part.view_as(self._raw[name]))
+        self._splats = None
 
     def _raw_from(self, gaussians: Gaussians, mean_step_scale: Tensor | None) -> dict[str, Tensor]:
         means, quats, scales, opacities, sh = (
-            torch.from_numpy(x.copy()).to(self.device)
+            torch.from_numpy(x.copy())
             for x in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
         )
         step_scales = torch.ones(len(means)) if mean_step_scale is None else mean_step_scale
         return {
             "origins": means,
             "means": torch.zeros_like(means),
-            "step_scales": step_scales.to(means)[:, None],
+            "step_scales": step_scales[:, None],
+            "mean_derivative": step_scales[:, None].expand(-1, 3).contiguous(),
             "quats": quats,
             "scales": scales.log(),
             "opacities": opacities.clamp(1 - MAX_OPACITY, MAX_OPACITY).logit(),
-            "sh_dc": sh[:, :1].contiguous(),
-            "sh_rest": sh[:, 1:].contiguous(),
+            "sh": sh,
         }
 
-    def _state(self) -> dict[str, dict]:
-        return {
-            name: dict(self._optimizer.state[self._raw[name]])
-            for name in self._trainable
-            if self._raw[name] in self._optimizer.state
-        }
+    def _install(self, raw: dict[str, Tensor], moments: dict[str, list[Tensor]]) -> None:
+        self._raw, self._moments = raw, moments
+        self._splats: Splats | None = None
+        self._is_rest = {name: torch.zeros(1) for name in _GROUPS}
+        self._is_rest["sh"] = (torch.arange(3 * raw["sh"].shape[1]) >= 3).float()
+        self._mean_squares = {name: self._class_means(name, moments[name][1]) for name in _GROUPS}
 
-    def _install(self, raw: dict[str, Tensor], state: dict[str, dict]) -> None:
-        self._raw = raw
-        for name in self._trainable:
-            raw[name].requires_grad_(True)
-        groups = [{"params": [raw[name]], "rate": getattr(self.rates, name)} for name in self._trainable]
-        self._optimizer = torch.optim.Adam(groups, lr=1.0, betas=self.rates.betas, eps=1e-15, fused=True)
-        for name, moments in state.items():
-            self._optimizer.state[raw[name]] = moments
+    def _class_means(self, name: str, variance: Tensor) -> Tensor:
+        """[2] mean variance of a group, of what the pattern calls the rest apart."""
+        is_rest = self._is_rest[name]
+        by_place = variance.reshape(-1, len(is_rest)).double().sum(0)
+        rest = (by_place * is_rest).sum()
+        return torch.stack([by_place.sum() - rest, rest]) / self._class_sizes(name)
+
+    def _class_sizes(self, name: str) -> Tensor:
+        """[2] how many numbers of a group are of either class, at least 1."""
+        count = self._raw[name].numel() // len(self._is_rest[name])
+        rest = count * self._is_rest[name].sum()
+        return torch.stack([self._raw[name].numel() - rest, rest]).clamp_min(1).double()
+
+    def _step_group(
+        self, name: str, gradient: Tensor, derivative: Tensor | None, factor: float, numbers: list[float]
+    ) -> None:
+        is_rest = self._is_rest[name]
+        rates = (self.rates.sh_dc, self.rates.sh_rest) if name == "sh" else (getattr(self.rates, name),) * 2
+        stills = (self.rates.stillness * self._mean_squares[name].sqrt()).clamp_min(EPSILON).tolist()
+        group = kernels.Group()
+        flat = {"raw": self._raw[name], "moment": self._moments[name][0], "variance": self._moments[name][1]}
+        flat["derivative"] = gradient.new_zeros(0) if derivative is None else derivative
+        for key, (usual, rest) in {"rates": rates, "stills": stills, "is_rest": (0.0, 1.0)}.items():
+            scale = factor if key == "rates" else 1.0
+            flat[key] = _repeated(scale * torch.where(is_rest > 0, rest, usual))
+        for key, values in flat.items():
+            setattr(group, key, wp.from_torch(values.reshape(-1)))
+        group.period = len(is_rest)
+        tasks = -(-gradient.numel() // kernels.SPAN)
+        sums = torch.empty(tasks, 2)
+        inputs = [group, wp.from_torch(gradient.view(-1)), *numbers, wp.from_torch(sums, dtype=wp.vec2)]
+        bounds = [tasks * k // CHUNKS for k in range(CHUNKS + 1)] if tasks >= 2 * CHUNKS else [0, tasks]
+        launch(kernels.adam, bounds, inputs, wp.get_device("cpu"), threads=2)
+        self._mean_squares[name] = sums.double().sum(0) / self._class_sizes(name)
+
+
+_GROUPS = ("means", "quats", "scales", "opacities", "sh")
+
+
+def _repeated(pattern: Tensor) -> Tensor:
+    """[period + LANES] a pattern [period] and its continuation."""
+    times = -(-(len(pattern) + kernels.LANES) // len(pattern))
+    return pattern.float().repeat(times)[: len(pattern) + kernels.LANES].contiguous()
 
 
 class PoseParameters:

@@ -1,11 +1,14 @@
 """Trainable Gaussians: activated outside, unbounded inside, growing and shrinking under one optimiser."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from dwgs.optimize import PoseParameters, Rates, SplatParameters
 from dwgs.scene import Gaussians
+from dwgs.splat import Splats
 
 RATES = Rates(means=0.01, quats=0.01, scales=0.01, opacities=0.05, sh_dc=0.02, sh_rest=0.01)
 
@@ -41,6 +44,57 @@ def test_steps_go_downhill():
     parameters = SplatParameters(cloud(20), RATES)
     losses = [pull(parameters) for _ in range(20)]
     assert losses[-1] < losses[0]
+
+
+@pytest.mark.parametrize("stillness", [0.0, 0.3])
+def test_steps_are_those_of_adam_on_logs_and_logits(stillness):
+    gaussians = cloud(9000)
+    parameters = SplatParameters(gaussians, replace(RATES, stillness=stillness))
+    raw = {
+        "means": torch.tensor(gaussians.means),
+        "quats": torch.tensor(gaussians.quats),
+        "scales": torch.tensor(gaussians.scales).log(),
+        "opacities": torch.tensor(gaussians.opacities).logit(),
+        "sh_dc": torch.tensor(gaussians.sh[:, :1]),
+        "sh_rest": torch.tensor(gaussians.sh[:, 1:]),
+    }
+    groups = [{"params": [values.requires_grad_()], "lr": getattr(RATES, name)} for name, values in raw.items()]
+    adam = torch.optim.Adam(groups, betas=RATES.betas, eps=1e-15)
+    weights = [torch.randn(9000, 26, generator=torch.Generator().manual_seed(k)) for k in range(4)]
+
+    def loss(means, quats, scales, opacities, sh, weight):
+        flat = torch.cat([means, quats, scales, opacities[:, None], sh.flatten(1)], 1)
+        return (flat.pow(2) * weight[:, : flat.shape[1]]).sum()
+
+    for weight in weights:
+        splats = parameters.splats()
+        loss(*(getattr(splats, name) for name in Splats.__dataclass_fields__), weight).backward()
+        parameters.step()
+        sh = torch.cat([raw["sh_dc"], raw["sh_rest"]], 1)
+        loss(raw["means"], raw["quats"], raw["scales"].exp(), raw["opacities"].sigmoid(), sh, weight).backward()
+        for group in adam.param_groups:
+            known = adam.state.get(group["params"][0])
+            group["eps"] = max(1e-15, stillness * known["exp_avg_sq"].mean().sqrt().item()) if known else 1e-15
+        adam.step()
+        adam.zero_grad()
+    ours = parameters.splats()
+    assert torch.allclose(ours.means, raw["means"], atol=2e-6)
+    assert torch.allclose(ours.quats, raw["quats"], atol=2e-6)
+    assert torch.allclose(ours.scales, raw["scales"].exp(), rtol=2e-5)
+    assert torch.allclose(ours.opacities, raw["opacities"].sigmoid(), atol=2e-5)
+    assert torch.allclose(ours.sh, torch.cat([raw["sh_dc"], raw["sh_rest"]], 1), atol=2e-5)
+
+
+def test_what_leaves_its_bounds_is_held_and_finds_back():
+    gaussians = cloud(20)
+    bounds = np.array([[-0.5] * 3, [0.5] * 3])
+    parameters = SplatParameters(gaussians, RATES, bounds=bounds, max_scales=(0.05,) * 3)
+    assert (parameters.splats().means.abs() <= 0.5).all()
+    assert (parameters.splats().scales <= 0.05).all()
+    outside = torch.tensor(np.abs(gaussians.means) > 0.52)
+    for _ in range(300):
+        pull(parameters)
+    assert (parameters.splats().means[outside].abs() < 0.5).any()
 
 
 def test_a_mean_steps_as_far_as_its_scale_says():

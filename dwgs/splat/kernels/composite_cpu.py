@@ -67,8 +67,8 @@ _PRELUDE = f"""
         return b;
     }};
     auto root = [](quarter x) -> quarter {{
-        for (int i = 0; i < 4; ++i) x[i] = __builtin_sqrtf(x[i] > 0.0f ? x[i] : 0.0f);
-        return x;
+        const quarter none = {{}};
+        return __builtin_elementwise_sqrt(x > none ? x : none);
     }};
     auto four = [](quarter q) -> block {{
         return __builtin_shufflevector(q, q, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3);

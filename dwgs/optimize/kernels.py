@@ -1,0 +1,108 @@
+# type: ignore  (Warp's language, which is not Python's)
+"""Adam (Kingma and Ba 2015) in one pass over memory."""
+
+import warp as wp
+
+from dwgs.warp_start import start_warp
+
+start_warp()
+wp.set_module_options({"enable_backward": False})
+
+SPAN = 16384
+"""Numbers per task."""
+LANES = 16
+"""Numbers per instruction, on a CPU."""
+
+
+@wp.struct
+class Group:
+    """Parameters that share a derivative and a pattern of rates.
+
+    Patterns repeat with ``period`` and go on for `LANES` more: [period + LANES] each.
+    """
+
+    raw: wp.array(dtype=float)
+    moment: wp.array(dtype=float)
+    """Running mean of the gradient."""
+    variance: wp.array(dtype=float)
+    """Running mean of its square."""
+    derivative: wp.array(dtype=float)
+    """Of the activated by the raw parameter; empty: 1."""
+    rates: wp.array(dtype=float)
+    stills: wp.array(dtype=float)
+    """Below this a gradient moves its parameter in proportion only: Adam's epsilon."""
+    is_rest: wp.array(dtype=float)
+    """0 or 1: the variance of which class is summed."""
+    period: int
+
+
+@wp.func_native("""
+    typedef float block __attribute__((vector_size(64)));
+    typedef float loose __attribute__((vector_size(64), aligned(4)));
+    const bool derived = group.derivative.shape[0] > 0;
+    auto advance = [&](auto g, auto d, auto& raw, auto& m, auto& v, auto rate, auto still, auto root) {
+        g *= d;
+        m = beta1 * m + (1.0f - beta1) * g;
+        v = beta2 * v + (1.0f - beta2) * g * g;
+        raw -= rate * step1 * m / (root(v) * step2 + still);
+    };
+    block all = {}, rest = {};
+    int i = begin;
+    for (; i + 16 <= end; i += 16) {
+        auto load = [](const float* at) -> block { return *(const loose*)at; };
+        const int p = i % group.period;
+        block raw = load(group.raw.data + i), m = load(group.moment.data + i), v = load(group.variance.data + i);
+        const block d = derived ? load(group.derivative.data + i) : block{} + 1.0f;
+        advance(load(gradient.data + i), d, raw, m, v, load(group.rates.data + p), load(group.stills.data + p),
+                [](block x) -> block { return __builtin_elementwise_sqrt(x); });
+        *(loose*)(group.raw.data + i) = raw;
+        *(loose*)(group.moment.data + i) = m;
+        *(loose*)(group.variance.data + i) = v;
+        all += v;
+        rest += v * load(group.is_rest.data + p);
+    }
+    float total = 0.0f, total_rest = 0.0f;
+    for (int lane = 0; lane < 16; ++lane) total += all[lane], total_rest += rest[lane];
+    for (; i < end; ++i) {
+        const int p = i % group.period;
+        float raw = group.raw.data[i], m = group.moment.data[i], v = group.variance.data[i];
+        advance(gradient.data[i], derived ? group.derivative.data[i] : 1.0f, raw, m, v, group.rates.data[p],
+                group.stills.data[p], [](float x) -> float { return __builtin_sqrtf(x); });
+        group.raw.data[i] = raw;
+        group.moment.data[i] = m;
+        group.variance.data[i] = v;
+        total += v;
+        total_rest += v * group.is_rest.data[p];
+    }
+    return wp::vec2(total - total_rest, total_rest);
+""")
+def adam_span(
+    begin: int,
+    end: int,
+    group: Group,
+    gradient: wp.array(dtype=float),
+    beta1: float,
+    beta2: float,
+    step1: float,
+    step2: float,
+) -> wp.vec2:
+    """One step for the parameters [begin, end); the sums of both classes' new variances."""
+
+
+@wp.kernel
+def adam(
+    first: int,
+    group: Group,
+    gradient: wp.array(dtype=float),
+    beta1: float,
+    beta2: float,
+    step1: float,
+    step2: float,
+    # outputs
+    sums: wp.array(dtype=wp.vec2),
+):
+    """One step of a group, `SPAN` parameters a task; ``step1``, ``step2`` undo the moments' start at zero."""
+    task = first + wp.tid()
+    begin = task * SPAN
+    end = wp.min(begin + SPAN, group.raw.shape[0])
+    sums[task] = adam_span(begin, end, group, gradient, beta1, beta2, step1, step2)
