@@ -38,15 +38,35 @@ def step(n, backward):
         rendering.rgb.sum().backward()
     return peak() - before, int(rendering.intersections)
 step(100, True)  # kernels and libraries
-print(json.dumps(step(400_000, sys.argv[1] == "backward")))
+if sys.argv[1] == "many":
+    for _ in range(10):
+        step(2000, True)
+    before = peak()
+    for _ in range(60):
+        step(2000, True)
+    print(peak() - before)
+else:
+    print(json.dumps(step(400_000, sys.argv[1] == "backward")))
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss counts kilobytes on Linux only")
+def measured(what: str):
+    """What the program above prints."""
+    run = subprocess.run([sys.executable, "-c", MEASURE, what], capture_output=True, text=True, check=True)
+    return json.loads(run.stdout)
+
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss counts kilobytes on Linux only")
+
+
+def test_steps_leave_nothing_behind():
+    one_image = 5 * 720 * 480 * 4
+    assert measured("many") < 3 * one_image
+
+
 @pytest.mark.parametrize("direction", ["forward", "backward"])
 def test_memory_grows_as_stated(direction):
-    run = subprocess.run([sys.executable, "-c", MEASURE, direction], capture_output=True, text=True, check=True)
-    grown, intersections = json.loads(run.stdout)
+    grown, intersections = measured(direction)
     assert intersections > 500_000
     stated = PER_GAUSSIAN * 400_000 + PER_INTERSECTION * intersections + PER_PIXEL * 720 * 480 + SLACK
     if direction == "backward":

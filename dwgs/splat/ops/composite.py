@@ -84,9 +84,9 @@ class _Composite(torch.autograd.Function):
         image = torch.empty(shape, device=where)
         with torch_stream(where):
             binned = bin(records, view, capacity, threads)
-            inputs = [_canvas(view, records, layers, feature), binned.to_warp(), _records(records), _flat(image)]
+            inputs = [_canvas(view, records, layers, feature), binned.to_warp(), _records(records)]
             spans = binned.chunks(threads * CHUNKS_PER_THREAD) if where.type == "cpu" else [0, len(binned.ranges)]
-            _draw("composite", inputs, spans, where, threads)
+            _draw("composite", [*inputs, _flat(image)], spans, where, threads)
         ctx.inputs, ctx.binned, ctx.spans, ctx.threads = inputs, binned, spans, threads
         ctx.order, ctx.counts, ctx.needs, ctx.shapes = order, counts, needs, [part.shape for part in parts]
         ctx.save_for_backward(records, image, feature)
@@ -111,7 +111,7 @@ class _Composite(torch.autograd.Function):
         slots = scratch("slots", 10 * count, torch.float32, where).view(-1, 10)
         feature_slots = scratch("feature_slots", feature.shape[1] * count, torch.float32, where)
         in_slots = [wp.from_torch(slots, dtype=slot10, return_ctype=True), _flat(feature_slots)]
-        inputs = [*ctx.inputs, _flat(v_image), trainable, *in_slots]
+        inputs = [*ctx.inputs, _flat(image), _flat(v_image), trainable, *in_slots]
         v_records = torch.empty(len(records), trainable, 16, device=where)
         v_features = torch.empty(len(records), trainable, feature.shape[1], device=where)
         order = wp.from_torch(binned.gaussian_from_rank, return_ctype=True)

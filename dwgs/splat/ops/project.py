@@ -61,9 +61,10 @@ class _Project(torch.autograd.Function):
         records = torch.empty(len(view.viewmats), len(tensors[0]), 16, device=where)
         device = wp.device_from_torch(where)
         load(device)
-        inputs = [_cloud(tensors), _lens(view, objects, antialiased, tensors[5]), _records(records)]
+        inputs = [_cloud(tensors), _lens(view, objects, antialiased, tensors[5])]
         with torch_stream(where):
-            launch(kernels.project, records.shape[0] * records.shape[1], inputs, device, threads)
+            launch(kernels.project, records.shape[0] * records.shape[1], [*inputs, _records(records)], device, threads)
+        # not the records: whoever keeps its own output is never freed
         ctx.inputs, ctx.objects, ctx.threads = inputs, objects, threads
         ctx.save_for_backward(*tensors, records)
         return records
@@ -79,7 +80,8 @@ class _Project(torch.autograd.Function):
         v_spans = torch.empty(len(records), tasks, 4, 4, device=where)
         in_spans = wp.from_torch(spans, dtype=wp.vec2i, return_ctype=True)
         out_spans = wp.from_torch(v_spans, dtype=wp.mat44, return_ctype=True)
-        inputs = [*ctx.inputs, _records(grad_outputs[0].contiguous()), in_spans, _cloud(v_tensors), out_spans]
+        v_records = _records(grad_outputs[0].contiguous())
+        inputs = [*ctx.inputs, _records(records), v_records, in_spans, _cloud(v_tensors), out_spans]
         chunks = max(1, min(tasks, ctx.threads * CHUNKS_PER_THREAD))
         bounds = [tasks * k // chunks for k in range(chunks + 1)]
         with torch_stream(where):
