@@ -15,6 +15,8 @@ class Metric:
     key: str
     value: float
     unit: str
+    spread: float | None = None
+    """Interquartile range over repeats, where there are any."""
 
 
 def machine() -> dict:

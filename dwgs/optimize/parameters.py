@@ -12,14 +12,14 @@ from torch import Tensor
 from dwgs.optimize import kernels
 from dwgs.scene import Gaussians
 from dwgs.splat import Splats
-from dwgs.splat.parallel import launch
+from dwgs.splat.parallel import even, launch
 
 MAX_OPACITY = 1 - 1e-5
 """Beyond it the logit saturates in float32."""
 EPSILON = 1e-15
 """Adam's, where nothing shall be still."""
-CHUNKS = 4
-"""Parts of a large group, for two threads to share."""
+THREADS, WORTH_A_THREAD = 2, 8
+"""How many share a step, and tasks that take longer than to hand them over."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,8 +188,7 @@ class SplatParameters:
         tasks = -(-gradient.numel() // kernels.SPAN)
         sums = torch.empty(tasks, 2)
         inputs = [group, wp.from_torch(gradient.view(-1)), *numbers, wp.from_torch(sums, dtype=wp.vec2)]
-        bounds = [tasks * k // CHUNKS for k in range(CHUNKS + 1)] if tasks >= 2 * CHUNKS else [0, tasks]
-        launch(kernels.adam, bounds, inputs, wp.get_device("cpu"), threads=2)
+        launch(kernels.adam, even(tasks, WORTH_A_THREAD, THREADS), inputs, wp.get_device("cpu"), THREADS)
         self._mean_squares[name] = sums.double().sum(0) / self._class_sizes(name)
 
 

@@ -17,8 +17,8 @@ from dwgs.splat.kernels import bin, composite_cpu, composite_cuda, gather, proje
 
 CHUNKS_PER_THREAD = 4
 """Threads take chunks as they come, so one slow thread does not hold up the rest."""
-_GRAIN = 4096
-"""Items that are worth handing to another thread."""
+_GRAIN = 16384
+"""Items of little work that are worth handing to another thread."""
 
 _MODULES = {"cpu": (project, bin, composite_cpu, gather), "cuda": (project, bin, composite_cuda, gather)}
 _loaded: set[str] = set()
@@ -35,11 +35,16 @@ def load(device: wp.Device) -> None:
             _loaded.add(device.alias)
 
 
+def even(items: int, least: int, threads: int) -> list[int]:
+    """Bounds [0, ..., items] of chunks for so many threads, each of ``least`` items or more."""
+    chunks = max(1, min(threads * CHUNKS_PER_THREAD, items // least))
+    return [items * k // chunks for k in range(chunks + 1)]
+
+
 def launch(kernel: Any, items: int | Sequence[int], inputs: Sequence, device: wp.Device, threads: int) -> None:
     """Run ``kernel`` over ``items``: their number, or the bounds [0, ..., number] of chunks of equal work."""
     if isinstance(items, int):
-        chunks = max(1, min(threads * CHUNKS_PER_THREAD, items // _GRAIN))
-        bounds = [items * k // chunks for k in range(chunks + 1)]
+        bounds = even(items, _GRAIN, threads)
     else:
         bounds = list(items)
     if bounds[-1] == 0:

@@ -12,11 +12,14 @@ from torch.autograd.function import once_differentiable
 from dwgs.scene import InputError
 from dwgs.splat.kernels import project as kernels
 from dwgs.splat.ops.stream import torch_stream
-from dwgs.splat.parallel import CHUNKS_PER_THREAD, launch, load
+from dwgs.splat.parallel import even, launch, load
 from dwgs.splat.splats import Objects, Projected, Splats, View
 
 _GAUSSIANS_PER_TASK = {"cpu": 256, "cuda": 1}
 """Over so many the adjoint sums the pose's gradient at once; fixed, so that threads do not change sums."""
+
+_WORTH_A_THREAD = 2048
+"""Gaussians whose projection takes longer than to hand them over."""
 
 
 def project(
@@ -63,7 +66,8 @@ class _Project(torch.autograd.Function):
         load(device)
         inputs = [_cloud(tensors), _lens(view, objects, antialiased, tensors[5])]
         with torch_stream(where):
-            launch(kernels.project, records.shape[0] * records.shape[1], [*inputs, _records(records)], device, threads)
+            bounds = even(records.shape[0] * records.shape[1], _WORTH_A_THREAD, threads)
+            launch(kernels.project, bounds, [*inputs, _records(records)], device, threads)
         # not the records: whoever keeps its own output is never freed
         ctx.inputs, ctx.objects, ctx.threads = inputs, objects, threads
         ctx.save_for_backward(*tensors, records)
@@ -82,8 +86,7 @@ class _Project(torch.autograd.Function):
         out_spans = wp.from_torch(v_spans, dtype=wp.mat44, return_ctype=True)
         v_records = _records(grad_outputs[0].contiguous())
         inputs = [*ctx.inputs, _records(records), v_records, in_spans, _cloud(v_tensors), out_spans]
-        chunks = max(1, min(tasks, ctx.threads * CHUNKS_PER_THREAD))
-        bounds = [tasks * k // chunks for k in range(chunks + 1)]
+        bounds = even(tasks, max(1, _WORTH_A_THREAD // _GAUSSIANS_PER_TASK[where.type]), ctx.threads)
         with torch_stream(where):
             launch(kernels.project_adjoint, bounds, inputs, wp.device_from_torch(where), ctx.threads)
         if len(objects.counts) == 1:
