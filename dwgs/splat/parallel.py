@@ -43,10 +43,7 @@ def even(items: int, least: int, threads: int) -> list[int]:
 
 def launch(kernel: Any, items: int | Sequence[int], inputs: Sequence, device: wp.Device, threads: int) -> None:
     """Run ``kernel`` over ``items``: their number, or the bounds [0, ..., number] of chunks of equal work."""
-    if isinstance(items, int):
-        bounds = even(items, _GRAIN, threads)
-    else:
-        bounds = list(items)
+    bounds = even(items, _GRAIN, threads) if isinstance(items, int) else list(items)
     if bounds[-1] == 0:
         return
     if threads <= 1 or len(bounds) == 2 or not device.is_cpu:
