@@ -70,6 +70,14 @@ _PRELUDE = f"""
         const quarter none = {{}};
         return __builtin_elementwise_sqrt(x > none ? x : none);
     }};
+    auto reciprocal = [&](block x) -> block {{
+        #if defined(__AVX512F__)
+        const block r = __builtin_ia32_rcp14ps512_mask(x, zero, -1);  // good to 2^-14; a step of Newton's to 2^-28
+        return r * (2.0f - x * r);
+        #else
+        return 1.0f / x;
+        #endif
+    }};
     auto four = [](quarter q) -> block {{
         return __builtin_shufflevector(q, q, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3);
     }};
@@ -196,6 +204,11 @@ _ADJOINT = f"""
         return __builtin_shufflevector(a, b, 0, 1, 4, 5) + __builtin_shufflevector(a, b, 2, 3, 6, 7);
     }};
 
+    auto clear = [&](int isect) {{
+        for (int j = 0; j < 10; ++j) ((float*)&slots.data[isect])[j] = 0.0f;
+        for (int f = 0; f < features; ++f) feature_slots.data[isect * (long long)features + f] = 0.0f;
+    }};
+
     // what the light still to come brings to the loss: known in full at the start, spent Gaussian by Gaussian
     const float* v_shown = v_image.data + view * (5ll + features) * plane;
     block rest[16], v[16][5];
@@ -216,9 +229,14 @@ _ADJOINT = f"""
     int first = begin;
     for (; first < end; first += 16) {{
 {_BATCH}
+        for (int n = 0; n < count; ++n) __builtin_prefetch(&slots.data[isects[first + n]], 1);  // they lie anywhere too
         for (int n = 0; n < count; ++n) {{
             const int isect = isects[first + n];
             const bool frozen = gaussians[isect] - view * canvas.gaussians >= trainable;
+            if (!reached[n]) {{
+                if (!frozen) clear(isect);
+                continue;
+            }}
             const float* feature = feature_of(gaussians[isect]);
             block s = zero, s_x = zero, s_y = zero, s_xx = zero, s_xy = zero, s_yy = zero, v_c[4] = {{}};
             for (int f = 0; f < features; ++f) v_f[f] = zero;
@@ -228,7 +246,7 @@ _ADJOINT = f"""
                 rest[b] -= w * q;
                 T[b] -= w;
                 if (frozen) continue;
-                const block slope = w * q - rest[b] * alpha / (1.0f - alpha);
+                const block slope = w * q - rest[b] * (alpha * reciprocal(1.0f - alpha));
                 const block v_power = raw < max_alpha ? slope : zero;  // the clamp passes no gradient
                 const block by_x = v_power * dx, by_y = v_power * dy;
                 s += v_power;
@@ -255,10 +273,7 @@ _ADJOINT = f"""
             for (int f = 0; f < features; ++f) feature_slot[f] = sums(v_f[f], zero, zero, zero)[0];
         }}
     }}
-    for (int k = first; k < end; ++k) {{  // behind the last light
-        for (int j = 0; j < 10; ++j) ((float*)&slots.data[isects[k]])[j] = 0.0f;
-        for (int f = 0; f < features; ++f) feature_slots.data[isects[k] * (long long)features + f] = 0.0f;
-    }}
+    for (int k = first; k < end; ++k) clear(isects[k]);  // behind the last light
 """
 
 
