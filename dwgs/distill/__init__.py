@@ -2,3 +2,5 @@
 
 from dwgs.distill.config import DistillConfig as DistillConfig
 from dwgs.distill.fit import distill as distill
+from dwgs.distill.layers import Frozen as Frozen
+from dwgs.distill.layers import FrozenView as FrozenView

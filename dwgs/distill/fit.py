@@ -13,7 +13,7 @@ from dwgs.distill.config import GENERATED, RECORDED, DistillConfig, Recipe
 from dwgs.distill.coverage import Coverage
 from dwgs.distill.evaluate import score, summary
 from dwgs.distill.initialize import initialize_body
-from dwgs.distill.layers import FrozenBackground, fingerprint
+from dwgs.distill.layers import Frozen, FrozenBackground
 from dwgs.distill.model import BODY_SCALES, SHADOW_SCALES, BoxPoses, Part, body_bounds, shadow_bounds
 from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
@@ -40,7 +40,7 @@ EVENNESS = (0.5, 2.0)
 
 
 def distill(
-    scene: Scene, background: Background, insertion: Insertion, config: DistillConfig | None = None
+    scene: Scene, background: Background | Frozen, insertion: Insertion, config: DistillConfig | None = None
 ) -> Generator[Event, None, tuple[VehicleAsset, dict]]:
     """Learn the vehicle that a scene shows, as Gaussians in its own frame; the background is frozen.
 
@@ -54,10 +54,11 @@ def distill(
     config = config or DistillConfig()
     if config.steps < 1 or config.gaussians < 1:
         raise InputError(f"a distillation has at least one step and one Gaussian, got {config}")
-    started, before = time.monotonic(), fingerprint(background)
+    started = time.monotonic()
+    frozen = FrozenBackground(background, scene.all_frames()) if isinstance(background, Background) else background
+    before = frozen.fingerprint()
     is_generated = any(frame.load_reactive_mask is not None for frame in scene.all_frames())
     recipe = GENERATED if is_generated else RECORDED
-    frozen = FrozenBackground(background, scene.all_frames())
 
     sights = find_sights(scene, frozen, insertion, recipe, config.threads)
     shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
@@ -95,7 +96,7 @@ def distill(
             "fit": round(fitted - prepared, 2),
             "evaluate": round(time.monotonic() - fitted, 2),
         },
-        "background_unchanged": fingerprint(background) == before,
+        "background_unchanged": frozen.fingerprint() == before,
     }
     provenance = {"scene": scene.name, "config": asdict(config), "background": before}
     quality = {key: report[key] for key in ("psnr_roi_heldout", "ssim_roi_heldout", "psnr_object_heldout")}

@@ -9,6 +9,7 @@ stopping rule lets pass.
 
 import hashlib
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -44,6 +45,22 @@ class FrozenView:
         return composite(self.between, view, self.layers, threads=1).rgb * self.gain
 
 
+class Frozen(Protocol):
+    """What a vehicle is learnt against: whatever can be split about it, frame by frame, and stays as it is."""
+
+    def camera(self, frame: Frame) -> Camera:
+        """Where the frame's camera really was."""
+        ...
+
+    def freeze(self, camera: Camera, camera_name: str, interval: tuple[float, float]) -> FrozenView:
+        """Split what a camera (or a window of it) sees at an ``interval`` of centre depths [m]; thread-safe."""
+        ...
+
+    def fingerprint(self) -> str:
+        """A hash of all of it."""
+        ...
+
+
 class FrozenBackground:
     """A background as the splatter wants it, and where its cameras really are. Nothing is written to it."""
 
@@ -58,6 +75,10 @@ class FrozenBackground:
         if correction is None:
             return frame.camera
         return frame.camera.at(frame.camera.world_from_camera @ correction.at(frame.camera.time))
+
+    def fingerprint(self) -> str:
+        """Of every number of the background."""
+        return fingerprint(self._background)
 
     def freeze(self, camera: Camera, camera_name: str, interval: tuple[float, float]) -> FrozenView:
         """Split the view of a camera at an ``interval`` of centre depths [m]; thread-safe."""

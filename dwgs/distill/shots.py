@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dwgs.distill.config import Recipe
-from dwgs.distill.layers import FrozenBackground, FrozenView, depth_interval
+from dwgs.distill.layers import Frozen, FrozenView, depth_interval
 from dwgs.distill.lidar import LidarDepths, carried_depths, static_depths
 from dwgs.distill.region import Region, find_region, visible_fraction
 from dwgs.optimize import Preparing
@@ -62,9 +62,7 @@ class Shot:
         return replace(self.view, viewmat=self.view.viewmat @ old_from_new)
 
 
-def find_sights(
-    scene: Scene, background: FrozenBackground, insertion: Insertion, recipe: Recipe, threads: int
-) -> list[Sight]:
+def find_sights(scene: Scene, background: Frozen, insertion: Insertion, recipe: Recipe, threads: int) -> list[Sight]:
     """The frames that show the vehicle, camera by camera, in order of time.
 
     Raises `InputError` where no frame does.
@@ -108,7 +106,7 @@ def _sight(frame, held_out, scene, background, insertion, recipe) -> Sight | Non
 def prepare_shots(
     sights: list[Sight],
     scene: Scene,
-    background: FrozenBackground,
+    background: Frozen,
     insertion: Insertion,
     bounds: NDArray[np.float64],
     threads: int,
