@@ -1,0 +1,1 @@
+"""Other ways to the same image and gradients, to measure ours against."""
