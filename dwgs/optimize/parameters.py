@@ -78,7 +78,8 @@ class SplatParameters:
         if self._splats is None:
             raw = self._raw
             means = torch.addcmul(raw["origins"], raw["means"], raw["step_scales"])
-            scales, opacities = raw["scales"].exp(), raw["opacities"].sigmoid()
+            scales = torch.exp(raw["scales"], out=raw["scale_derivative"])
+            opacities = raw["opacities"].sigmoid()
             if self._low is not None:
                 means = means.clamp_(self._low, self._high)
             if self._max_scales is not None:
@@ -95,15 +96,11 @@ class SplatParameters:
         beta1, beta2 = self.rates.betas
         numbers = [beta1, beta2, 1 / (1 - beta1**self._steps), (1 - beta2**self._steps) ** -0.5]
         opacities = self._splats.opacities.detach()
-        derivatives = {
-            "means": self._raw["mean_derivative"],
-            "scales": self._splats.scales.detach(),
-            "opacities": opacities * (1 - opacities),
-        }
-        for name in _GROUPS:
-            gradient = getattr(self._splats, name).grad
+        torch.mul(opacities, 1 - opacities, out=self._raw["opacity_derivative"])
+        for group in self._groups:
+            gradient = getattr(self._splats, group.name).grad
             if gradient is not None and gradient.numel():
-                self._step_group(name, gradient.contiguous(), derivatives.get(name), factor, numbers)
+                group.step(gradient.contiguous(), self.rates.stillness, factor, numbers)
         self._splats = None
 
     def append(self, gaussians: Gaussians, mean_step_scale: Tensor | None = None) -> None:
@@ -146,59 +143,75 @@ class SplatParameters:
             "mean_derivative": step_scales[:, None].expand(-1, 3).contiguous(),
             "quats": quats,
             "scales": scales.log(),
+            "scale_derivative": scales,
             "opacities": opacities.clamp(1 - MAX_OPACITY, MAX_OPACITY).logit(),
+            "opacity_derivative": torch.empty_like(opacities),
             "sh": sh,
         }
 
     def _install(self, raw: dict[str, Tensor], moments: dict[str, list[Tensor]]) -> None:
         self._raw, self._moments = raw, moments
         self._splats: Splats | None = None
-        self._is_rest = {name: torch.zeros(1) for name in _GROUPS}
-        self._is_rest["sh"] = (torch.arange(3 * raw["sh"].shape[1]) >= 3).float()
-        self._mean_squares = {name: self._class_means(name, moments[name][1]) for name in _GROUPS}
-
-    def _class_means(self, name: str, variance: Tensor) -> Tensor:
-        """[2] mean variance of a group, of what the pattern calls the rest apart."""
-        is_rest = self._is_rest[name]
-        by_place = variance.reshape(-1, len(is_rest)).double().sum(0)
-        rest = (by_place * is_rest).sum()
-        return torch.stack([by_place.sum() - rest, rest]) / self._class_sizes(name)
-
-    def _class_sizes(self, name: str) -> Tensor:
-        """[2] how many numbers of a group are of either class, at least 1."""
-        count = self._raw[name].numel() // len(self._is_rest[name])
-        rest = count * self._is_rest[name].sum()
-        return torch.stack([self._raw[name].numel() - rest, rest]).clamp_min(1).double()
-
-    def _step_group(
-        self, name: str, gradient: Tensor, derivative: Tensor | None, factor: float, numbers: list[float]
-    ) -> None:
-        is_rest = self._is_rest[name]
-        rates = (self.rates.sh_dc, self.rates.sh_rest) if name == "sh" else (getattr(self.rates, name),) * 2
-        stills = (self.rates.stillness * self._mean_squares[name].sqrt()).clamp_min(EPSILON).tolist()
-        group = kernels.Group()
-        flat = {"raw": self._raw[name], "moment": self._moments[name][0], "variance": self._moments[name][1]}
-        flat["derivative"] = gradient.new_zeros(0) if derivative is None else derivative
-        for key, (usual, rest) in {"rates": rates, "stills": stills, "is_rest": (0.0, 1.0)}.items():
-            scale = factor if key == "rates" else 1.0
-            flat[key] = _repeated(scale * torch.where(is_rest > 0, rest, usual))
-        for key, values in flat.items():
-            setattr(group, key, wp.from_torch(values.reshape(-1)))
-        group.period = len(is_rest)
-        tasks = -(-gradient.numel() // kernels.SPAN)
-        sums = torch.empty(tasks, 2)
-        inputs = [group, wp.from_torch(gradient.view(-1)), *numbers, wp.from_torch(sums, dtype=wp.vec2)]
-        launch(kernels.adam, even(tasks, WORTH_A_THREAD, THREADS), inputs, wp.get_device("cpu"), THREADS)
-        self._mean_squares[name] = sums.double().sum(0) / self._class_sizes(name)
+        derivatives = {"means": "mean_derivative", "scales": "scale_derivative", "opacities": "opacity_derivative"}
+        self._groups = [
+            _Group(
+                name,
+                raw[name],
+                moments[name],
+                raw[derivatives[name]] if name in derivatives else torch.zeros(0),
+                (self.rates.sh_dc, self.rates.sh_rest) if name == "sh" else (getattr(self.rates, name), 0.0),
+                3 * raw["sh"].shape[1] if name == "sh" else 1,
+            )
+            for name in _GROUPS
+        ]
 
 
 _GROUPS = ("means", "quats", "scales", "opacities", "sh")
 
 
-def _repeated(pattern: Tensor) -> Tensor:
-    """[period + LANES] a pattern [period] and its continuation."""
-    times = -(-(len(pattern) + kernels.LANES) // len(pattern))
-    return pattern.float().repeat(times)[: len(pattern) + kernels.LANES].contiguous()
+class _Group:
+    """One tensor of parameters, as the kernel takes it step by step: everything but the gradient stays in place.
+
+    Of every ``period`` numbers the first three step at the first of ``rates``, the rest at the second.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        raw: Tensor,
+        moments: list[Tensor],
+        derivative: Tensor,
+        rates: tuple[float, float],
+        period: int,
+    ) -> None:
+        self.name = name
+        self._is_rest = (np.arange(period + kernels.LANES) % period >= 3).astype(np.float32)
+        self._base = np.where(self._is_rest > 0, rates[1], rates[0]).astype(np.float32)
+        self._rates, self._stills = self._base.copy(), np.zeros_like(self._base)
+        rest = raw.numel() * float(self._is_rest[:period].mean())
+        self._sizes = np.maximum([raw.numel() - rest, rest], 1)
+        by_place = moments[1].reshape(-1, period).double().sum(0).numpy()
+        rest = by_place @ self._is_rest[:period]
+        self._mean_squares = np.array([by_place.sum() - rest, rest]) / self._sizes
+        self._sums = np.zeros((-(-raw.numel() // kernels.SPAN), 2), np.float32)
+        self._out = wp.array(self._sums, dtype=wp.vec2, device="cpu", copy=False)
+        self._group = kernels.Group()
+        tensors = {"raw": raw, "moment": moments[0], "variance": moments[1], "derivative": derivative}
+        for key, tensor in tensors.items():
+            setattr(self._group, key, wp.from_torch(tensor.view(-1)))
+        for key, pattern in {"rates": self._rates, "stills": self._stills, "is_rest": self._is_rest}.items():
+            setattr(self._group, key, wp.array(pattern, dtype=float, device="cpu", copy=False))
+        self._group.period = period
+
+    def step(self, gradient: Tensor, stillness: float, factor: float, numbers: list[float]) -> None:
+        """Carry a gradient by the activated parameters to the parameters."""
+        usual, rest = np.maximum(stillness * np.sqrt(self._mean_squares), EPSILON)
+        np.multiply(self._base, factor, out=self._rates)
+        self._stills[:] = np.where(self._is_rest > 0, rest, usual)
+        inputs = [self._group, wp.from_torch(gradient.view(-1), return_ctype=True), *numbers, self._out]
+        bounds = even(len(self._sums), WORTH_A_THREAD, THREADS)
+        launch(kernels.adam, bounds, inputs, self._out.device, THREADS)
+        self._mean_squares = self._sums.sum(0, dtype=np.float64) / self._sizes
 
 
 class PoseParameters:

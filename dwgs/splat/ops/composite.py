@@ -15,7 +15,7 @@ from dwgs.splat.kernels.project import record16
 from dwgs.splat.ops.bin import bin
 from dwgs.splat.ops.scratch import scratch
 from dwgs.splat.ops.stream import torch_stream
-from dwgs.splat.parallel import CHUNKS_PER_THREAD, launch, load
+from dwgs.splat.parallel import CHUNKS_PER_THREAD, even, launch, load
 from dwgs.splat.splats import Layers, Projected, Rendering, View, whole_tiles
 
 
@@ -55,6 +55,8 @@ def composite(
 
 _SCHEMES = {"cpu": composite_cpu, "cuda": composite_cuda}
 """Same kernels by name, a tile being a task on the one and a block on the other."""
+_WORTH_A_THREAD = 4096
+"""Gaussians whose slots take longer to sum up than to hand them over."""
 PLANES = 5
 """r, g, b, depth, alpha; features follow."""
 
@@ -121,7 +123,8 @@ class _Composite(torch.autograd.Function):
         to_gather = [*in_slots, order, ends, *numbers, _records(v_records), v_rows]
         with torch_stream(where):
             _draw("composite_adjoint", inputs, ctx.spans, where, ctx.threads)
-            launch(gather, len(binned.ends), to_gather, wp.device_from_torch(where), ctx.threads)
+            bounds = even(len(binned.ends), _WORTH_A_THREAD, ctx.threads)
+            launch(gather, bounds, to_gather, wp.device_from_torch(where), ctx.threads)
         return None, None, None, None, *_by_part(ctx, v_records, v_features)
 
 
