@@ -39,15 +39,15 @@ class Distill:
         from dwgs.formats import background_folder
 
         scene = self.clip.open()
-        if (self.track is None) == (self.insertion is None):
-            raise InputError("distill one vehicle: --track ID for a recorded one, --insertion DIR for an edited Scene")
-        background = background_folder.read(self.background)
-        if self.track is not None:
+        if self.track is not None and self.insertion is None:
             insertion = insertion_of_track(self.clip.open_whole(), self.track)
-        else:
+        elif self.insertion is not None and self.track is None:
             from generator.conditions import read_insertion
 
             insertion = read_insertion(self.insertion)
+        else:
+            raise InputError("distill one vehicle: --track ID for a recorded one, --insertion DIR for an edited Scene")
+        background = background_folder.read(self.background)
         source = {
             "clip": clip_key(self.clip),
             "background": background_folder.fingerprint(self.background),

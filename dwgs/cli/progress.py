@@ -29,7 +29,7 @@ class Bar:
         """Say that ``done`` of ``total`` are done."""
         self._progress.update(self._task, completed=done, total=total)
 
-    def follow(self, events: Generator) -> Any:
+    def follow(self, events: Generator[Any, None, Any]) -> Any:
         """Run a fit to its end, showing its events; gives what the fit returns."""
         from dwgs.optimize import Evaluated, Grown, Preparing, Step
 

@@ -67,14 +67,15 @@ def find_sights(scene: Scene, background: Frozen, insertion: Insertion, recipe: 
 
     Raises `InputError` where no frame does.
     """
-    frames = [
-        (frame, position % HOLD_OUT_EVERY == HOLD_OUT_AT)
-        for frames in scene.frames.values()
-        for position, frame in enumerate(frames)
-    ]
+
+    def look(place: tuple[int, Frame]) -> Sight | None:
+        position, frame = place
+        held_out = position % HOLD_OUT_EVERY == HOLD_OUT_AT
+        return _sight(frame, held_out, scene, background, insertion, recipe)
+
+    places = [place for frames in scene.frames.values() for place in enumerate(frames)]
     with ThreadPoolExecutor(threads) as pool:
-        found = pool.map(lambda pair: _sight(*pair, scene, background, insertion, recipe), frames)
-        sights = [sight for sight in found if sight is not None]
+        sights = [sight for sight in pool.map(look, places) if sight is not None]
     if not sights:
         raise InputError(
             f"no frame of '{scene.name}' shows the vehicle: it is behind the cameras, outside their images, "

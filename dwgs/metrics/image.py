@@ -41,4 +41,4 @@ def ssim(image: NDArray, reference: NDArray, mask: NDArray | None = None) -> flo
 
 def _mean_near(planes: NDArray[np.float32]) -> NDArray[np.float32]:
     """Mean of planes [C, H, W] under the window about each pixel."""
-    return gaussian_filter(planes, SIGMA, mode="mirror", radius=RADIUS, axes=(1, 2))
+    return np.asarray(gaussian_filter(planes, SIGMA, mode="mirror", radius=RADIUS, axes=(1, 2)), np.float32)

@@ -77,7 +77,7 @@ class SplatParameters:
         """The activated Gaussians; a gradient flows to them, until the next `step`."""
         if self._splats is None:
             raw = self._raw
-            means = torch.addcmul(raw["origins"], raw["means"], raw["step_scales"])
+            means = torch.addcmul(raw["origins"], raw["means"], raw["mean_derivative"])
             scales = torch.exp(raw["scales"], out=raw["scale_derivative"])
             opacities = raw["opacities"].sigmoid()
             if self._low is not None:
@@ -139,7 +139,6 @@ class SplatParameters:
         return {
             "origins": means,
             "means": torch.zeros_like(means),
-            "step_scales": step_scales[:, None],
             "mean_derivative": step_scales[:, None].expand(-1, 3).contiguous(),
             "quats": quats,
             "scales": scales.log(),
@@ -188,11 +187,11 @@ class _Group:
         self._is_rest = (np.arange(period + kernels.LANES) % period >= 3).astype(np.float32)
         self._base = np.where(self._is_rest > 0, rates[1], rates[0]).astype(np.float32)
         self._rates, self._stills = self._base.copy(), np.zeros_like(self._base)
-        rest = raw.numel() * float(self._is_rest[:period].mean())
-        self._sizes = np.maximum([raw.numel() - rest, rest], 1)
+        is_rest = self._is_rest[:period] > 0
         by_place = moments[1].reshape(-1, period).double().sum(0).numpy()
-        rest = by_place @ self._is_rest[:period]
-        self._mean_squares = np.array([by_place.sum() - rest, rest]) / self._sizes
+        classes = ~is_rest, is_rest
+        self._sizes = np.array([max(raw.numel() // period * place.sum(), 1) for place in classes])
+        self._mean_squares = np.array([by_place[place].sum() for place in classes]) / self._sizes
         self._sums = np.zeros((-(-raw.numel() // kernels.SPAN), 2), np.float32)
         self._out = wp.array(self._sums, dtype=wp.vec2, device="cpu", copy=False)
         self._group = kernels.Group()
@@ -210,7 +209,7 @@ class _Group:
         self._stills[:] = np.where(self._is_rest > 0, rest, usual)
         inputs = [self._group, wp.from_torch(gradient.view(-1), return_ctype=True), *numbers, self._out]
         bounds = even(len(self._sums), WORTH_A_THREAD, THREADS)
-        launch(kernels.adam, bounds, inputs, self._out.device, THREADS)
+        launch(kernels.adam, bounds, inputs, wp.get_device("cpu"), THREADS)
         self._mean_squares = self._sums.sum(0, dtype=np.float64) / self._sizes
 
 

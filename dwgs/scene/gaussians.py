@@ -59,7 +59,8 @@ class Gaussians:
         count = max(g.sh.shape[1] for g in clouds)
         padded = [np.pad(g.sh, ((0, 0), (0, count - g.sh.shape[1]), (0, 0))) for g in clouds]
         fields = ("means", "quats", "scales", "opacities")
-        return Gaussians(*(np.concatenate([getattr(g, f) for g in clouds]) for f in fields), np.concatenate(padded))
+        joined = {f: np.concatenate([getattr(g, f) for g in clouds]) for f in fields}
+        return Gaussians(**joined, sh=np.concatenate(padded))
 
     @staticmethod
     def empty(sh_degree: int = 0) -> "Gaussians":

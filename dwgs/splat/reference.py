@@ -96,7 +96,7 @@ def project(
         x[index] for x in (means, quats, scales, opacities, sh, points, R, t)
     )
 
-    fx, fy, cx, cy = view.intrinsics
+    fx, fy, cx, cy = view.lenses[0].tolist()
     x, y, z = points.unbind(1)
     zero = torch.zeros_like(z)
     u, v = (x / z).clamp(-MAX_TANGENT, MAX_TANGENT), (y / z).clamp(-MAX_TANGENT, MAX_TANGENT)

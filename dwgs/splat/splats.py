@@ -67,7 +67,7 @@ class View:
 
     viewmat: Tensor
     """[4, 4] ``camera_from_splats``, [V, 4, 4] in a batch; may require a gradient."""
-    intrinsics: tuple[float, float, float, float] | tuple[tuple[float, float, float, float], ...]
+    intrinsics: tuple[float, ...] | tuple[tuple[float, ...], ...]
     """fx, fy, cx, cy [px]; pixel centres at +0.5. V of them in a batch."""
     width: int
     """[px]."""
@@ -96,7 +96,7 @@ class View:
         first = views[0]
         return View(
             torch.stack([view.viewmat for view in views]),
-            tuple(view.intrinsics for view in views),
+            tuple(tuple(view.lenses[0].tolist()) for view in views),
             first.width,
             first.height,
         )

@@ -57,9 +57,11 @@ def draw(
     alpha = image.alpha.numpy()
     gain = np.clip(alpha / SOLID, 0, 1) / np.maximum(alpha, 1e-6)
     coverage = _mean(alpha * gain)
+    colors, depth = _mean(image.rgb.numpy() * gain[..., None]), _mean(image.depth.numpy() * gain)
     share = np.maximum(coverage, 1e-6)
-    colors = _mean(image.rgb.numpy() * gain[..., None]) / share[..., None]
-    return _restored(colors, coverage), _mean(image.depth.numpy() * gain) / share, coverage
+    colors /= share[..., None]
+    depth /= share
+    return _restored(colors, coverage), depth, coverage
 
 
 def _restored(colors: NDArray, coverage: NDArray) -> NDArray[np.float32]:

@@ -72,7 +72,7 @@ def sample_mesh(path: Path, seed: int = 0) -> Surface:
         here = (chosen >= first) & (chosen < first + len(own))
         spots = Spots(chosen[here] - first, weights[here])
         colors[here], whole[here] = paint(mesh, spots, path.name)
-        if _GLASS.search(part):
+        if _GLASS.search(str(part)):
             colors[here] = np.minimum(colors[here], CABIN)
         normals[here] = _normals(mesh, transform, own, spots)
         first += len(own)
