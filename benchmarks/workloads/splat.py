@@ -106,17 +106,16 @@ class Ours:
         self.splats, self.view = Splats(*self.inputs), view
         across, down = view.tiles
         self.v_image = torch.zeros(5, 16 * down, 16 * across)
-        """[5, H', W'] weights of the loss: any numbers in the image, zero outside."""
+        """[5, H', W'] gradient of some loss: any numbers in the image, zero outside."""
         inside = self.v_image[:, : view.height, : view.width]
         inside.copy_(torch.randn(inside.shape, generator=torch.Generator().manual_seed(0)))
-        self.v_outputs = inside[:3].movedim(0, -1).contiguous(), inside[3].contiguous(), inside[4].contiguous()
+        self.v_outputs = inside[:3].movedim(0, -1), inside[3], inside[4]
 
     def step(self, threads: int) -> Sequence[Tensor]:
-        """Gradients of a weighted sum of all pixels: render, loss, backward."""
+        """Everything but the loss: render, and carry the gradient by the images to the Gaussians."""
         rendering = render(self.splats, self.view, threads=threads)
         outputs = rendering.rgb, rendering.depth, rendering.alpha
-        losses = [(output * v).sum() for output, v in zip(outputs, self.v_outputs, strict=True)]
-        return torch.autograd.grad(losses[0] + losses[1] + losses[2], self.inputs)
+        return torch.autograd.grad(outputs, self.inputs, self.v_outputs)
 
     def bin(self, records: Tensor) -> Binned:
         """Tiles of the records [N, 16], on one thread."""

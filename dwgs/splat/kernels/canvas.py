@@ -33,3 +33,13 @@ class Canvas:
     back: wp.array(dtype=float)
     features: int
     feature: wp.array(dtype=float)
+
+
+@wp.struct
+class Gradient:
+    """Of the loss by an image, wherever it lies: [V, planes, H, W] of any strides, inside the image only."""
+
+    rgb: wp.array4d(dtype=float)
+    depth: wp.array4d(dtype=float)
+    alpha: wp.array4d(dtype=float)
+    features: wp.array4d(dtype=float)

@@ -11,7 +11,7 @@ import warp as wp
 
 from dwgs.splat.constants import MAX_ALPHA, MIN_ALPHA, STOP_TRANSMITTANCE
 from dwgs.splat.kernels.bin import Bins
-from dwgs.splat.kernels.canvas import Canvas
+from dwgs.splat.kernels.canvas import Canvas, Gradient
 from dwgs.splat.kernels.gather import slot10
 from dwgs.splat.kernels.project import record16
 
@@ -209,20 +209,31 @@ _ADJOINT = f"""
         for (int f = 0; f < features; ++f) feature_slots.data[isect * (long long)features + f] = 0.0f;
     }};
 
+    auto gradient = [&](const wp::array_t<float>& v, int channel, int b) -> block {{
+        const int x = b % 4 * 4, y = b / 4 * 4, step = v.strides[3];
+        const char* at = (const char*)v.data + view * (long long)v.strides[0] + channel * (long long)v.strides[1]
+            + (tile_y + y) * (long long)v.strides[2] + (tile_x + x) * (long long)step;
+        block value = zero;
+        for (int row = 0; row < 4 && y + row < rows; ++row, at += v.strides[2])
+            if (step == sizeof(float) && x + 4 <= columns) *((quarter*)&value + row) = *(const loose*)at;
+            else for (int i = 0; i < 4 && x + i < columns; ++i) value[4 * row + i] = *(const float*)(at + i * step);
+        return value;
+    }};
+
     // what the light still to come brings to the loss: known in full at the start, spent Gaussian by Gaussian
-    const float* v_shown = v_image.data + view * (5ll + features) * plane;
+    if (begin == end) return;
     block rest[16], v[16][5];
     block *const v_more = blocks_of(16 * features), *const v_f = blocks_of(features);
     for (int b = 0; b < 16; ++b) {{
         rest[b] = zero;
         for (int c = 0; c < 5; ++c) {{
-            v[b][c] = load(v_shown, c, b);
+            v[b][c] = c < 3 ? gradient(v_image.rgb, c, b) : gradient(c < 4 ? v_image.depth : v_image.alpha, 0, b);
             block behind = load(shown, c, b);
             if (layered) behind -= c < 4 ? load(front, c, b) : 1.0f - T[b];
             rest[b] += v[b][c] * behind;
         }}
         for (int f = 0; f < features; ++f) {{
-            v_more[b * features + f] = load(v_shown, 5 + f, b);
+            v_more[b * features + f] = gradient(v_image.features, f, b);
             rest[b] += v_more[b * features + f] * load(shown, 5 + f, b);
         }}
     }}
@@ -289,7 +300,7 @@ def draw_tile_adjoint(
     bins: Bins,
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
-    v_image: wp.array(dtype=float),
+    v_image: Gradient,
     trainable: int,
     slots: wp.array(dtype=slot10),
     feature_slots: wp.array(dtype=float),
@@ -317,7 +328,7 @@ def composite_adjoint(
     bins: Bins,
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
-    v_image: wp.array(dtype=float),
+    v_image: Gradient,
     trainable: int,
     # outputs
     slots: wp.array(dtype=slot10),

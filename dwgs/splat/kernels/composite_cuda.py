@@ -9,7 +9,7 @@ import warp as wp
 
 from dwgs.splat import constants
 from dwgs.splat.kernels.bin import Bins
-from dwgs.splat.kernels.canvas import Canvas
+from dwgs.splat.kernels.canvas import Canvas, Gradient
 from dwgs.splat.kernels.gather import slot10
 from dwgs.splat.kernels.project import record16
 
@@ -76,6 +76,9 @@ class Pixel:
     """In planes that features follow."""
     before: int
     """Gaussians of earlier views."""
+    view: int
+    column: int
+    row: int
     x: float
     y: float
 
@@ -89,6 +92,7 @@ def pixel_of(thread: int, canvas: Canvas) -> Pixel:
     tiles = canvas.tiles_across * canvas.tiles_down
     view = pixel.tile / tiles
     tile = pixel.tile - view * tiles
+    pixel.view = view
     x = tile % canvas.tiles_across * TILE + inside % TILE
     y = tile / canvas.tiles_across * TILE + inside / TILE
     stride = canvas.tiles_across * TILE
@@ -96,6 +100,8 @@ def pixel_of(thread: int, canvas: Canvas) -> Pixel:
     pixel.index = view * 5 * pixel.plane + y * stride + x
     pixel.shown = view * (5 + canvas.features) * pixel.plane + y * stride + x
     pixel.before = view * canvas.gaussians
+    pixel.column = x
+    pixel.row = y
     pixel.x = float(x) + 0.5
     pixel.y = float(y) + 0.5
     return pixel
@@ -110,6 +116,14 @@ def light_at(pixel: Pixel, canvas: Canvas) -> float:
     elif pixel.x > float(canvas.width) or pixel.y > float(canvas.height):
         light = 0.0
     return light
+
+
+@wp.func
+def gradient_at(v: wp.array4d(dtype=float), channel: int, pixel: Pixel) -> float:
+    """Of the loss by one channel; 0 outside the image."""
+    if pixel.row < v.shape[2] and pixel.column < v.shape[3]:
+        return v[pixel.view, channel, pixel.row, pixel.column]
+    return 0.0
 
 
 @wp.func
@@ -169,7 +183,7 @@ def composite_adjoint(
     bins: Bins,
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
-    v_image: wp.array(dtype=float),
+    v_image: Gradient,
     trainable: int,
     # outputs
     slots: wp.array(dtype=slot10),
@@ -181,8 +195,11 @@ def composite_adjoint(
     T = light_at(pixel, canvas)
     v = vec5()
     rest = float(0.0)  # noqa: UP018  (a variable, not a constant)
+    for c in range(3):
+        v[c] = gradient_at(v_image.rgb, c, pixel)
+    v[3] = gradient_at(v_image.depth, 0, pixel)
+    v[4] = gradient_at(v_image.alpha, 0, pixel)
     for c in range(5):
-        v[c] = v_image[c * pixel.plane + pixel.shown]
         behind = image[c * pixel.plane + pixel.shown]
         if canvas.layered != 0:
             if c < 4:
@@ -192,7 +209,7 @@ def composite_adjoint(
         rest += v[c] * behind
     for f in range(canvas.features):
         at = (5 + f) * pixel.plane + pixel.shown
-        rest += v_image[at] * image[at]
+        rest += gradient_at(v_image.features, f, pixel) * image[at]
     warps = _BLOCK / lanes()
     warp = thread % _BLOCK / lanes()
     is_writer = thread % lanes() == 0
@@ -213,7 +230,7 @@ def composite_adjoint(
             q = wp.dot(v, colors_of(record))
             for f in range(canvas.features):
                 feature = canvas.feature[(gaussian - pixel.before) * canvas.features + f]
-                q += v_image[(5 + f) * pixel.plane + pixel.shown] * feature
+                q += gradient_at(v_image.features, f, pixel) * feature
             rest -= w * q
             T -= w
             if raw < MAX_ALPHA:  # the clamp passes no gradient
@@ -235,7 +252,7 @@ def composite_adjoint(
             if is_writer:
                 slots[at] = slot
             for f in range(canvas.features):
-                v_feature = w * v_image[(5 + f) * pixel.plane + pixel.shown]
+                v_feature = w * gradient_at(v_image.features, f, pixel)
                 if is_touched:
                     v_feature = sum_lanes(v_feature)
                 if is_writer:

@@ -1,5 +1,6 @@
 """Records to an image, differentiably."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -9,7 +10,7 @@ from torch.autograd.function import once_differentiable
 
 from dwgs.scene import InputError
 from dwgs.splat.kernels import composite_cpu, composite_cuda
-from dwgs.splat.kernels.canvas import Canvas
+from dwgs.splat.kernels.canvas import Canvas, Gradient
 from dwgs.splat.kernels.gather import gather, slot10
 from dwgs.splat.kernels.project import record16
 from dwgs.splat.ops.bin import bin
@@ -92,6 +93,7 @@ class _Composite(torch.autograd.Function):
         ctx.inputs, ctx.binned, ctx.spans, ctx.threads = inputs, binned, spans, threads
         ctx.order, ctx.counts, ctx.needs, ctx.shapes = order, counts, needs, [part.shape for part in parts]
         ctx.save_for_backward(records, image, feature)
+        ctx.size = view.height, view.width
         ctx.set_materialize_grads(False)
         inside = image[..., : view.height, : view.width]
         inside = inside if view.is_batch else inside[0]
@@ -106,14 +108,13 @@ class _Composite(torch.autograd.Function):
         records, image, feature = (t.detach() for t in ctx.saved_tensors)
         binned, where = ctx.binned, records.device
         trainable = sum(count for count, need in zip(ctx.counts, ctx.needs, strict=True) if need)
-        v_image = scratch("v_image", image.numel(), torch.float32, where).view(image.shape)
-        _write_gradient(v_image, *grad_outputs[:4])
+        v_image = _gradient(grad_outputs[:4], (len(image), image.shape[1], *ctx.size), where)
         split = _SCHEMES[where.type].SLOTS
         count = split * len(binned.gaussian_from_isect)
         slots = scratch("slots", 10 * count, torch.float32, where).view(-1, 10)
         feature_slots = scratch("feature_slots", feature.shape[1] * count, torch.float32, where)
         in_slots = [wp.from_torch(slots, dtype=slot10, return_ctype=True), _flat(feature_slots)]
-        inputs = [*ctx.inputs, _flat(image), _flat(v_image), trainable, *in_slots]
+        inputs = [*ctx.inputs, _flat(image), v_image, trainable, *in_slots]
         v_records = torch.empty(len(records), trainable, 16, device=where)
         v_features = torch.empty(len(records), trainable, feature.shape[1], device=where)
         order = wp.from_torch(binned.gaussian_from_rank, return_ctype=True)
@@ -139,22 +140,19 @@ def _by_part(ctx: Any, v_records: Tensor, v_features: Tensor) -> list[Tensor | N
     return [torch.cat([rows[k] for k in range(len(ctx.counts))]), *v_parts]
 
 
-def _write_gradient(
-    v_image: Tensor, v_rgb: Tensor | None, v_depth: Tensor | None, v_alpha: Tensor | None, v_features: Tensor | None
-) -> None:
-    """Fill ``v_image`` [V, 5 + F, H', W'] of whole tiles; zeros outside the image and for None."""
-    parts = (
-        (v_image[:, :3], None if v_rgb is None else v_rgb.movedim(-1, -3)),
-        (v_image[:, 3], v_depth),
-        (v_image[:, 4], v_alpha),
-        (v_image[:, PLANES:], None if v_features is None else v_features.movedim(-1, -3)),
-    )
-    for planes, v in parts:
-        height, width = (0, 0) if v is None else v.shape[-2:]
-        planes[..., height:, :] = 0
-        planes[..., :height, width:] = 0
-        if v is not None:
-            planes[..., :height, :width] = v
+def _gradient(images: Sequence[Tensor | None], shape: tuple[int, ...], where: torch.device) -> Any:
+    """Gradients by rgb [V, H, W, 3], depth and alpha [V, H, W] and features [V, H, W, F], where they lie.
+
+    Where one is None all is zero; without views there is no V.
+    """
+    views, planes, height, width = shape
+    gradient = Gradient()
+    for name, count, image in zip(("rgb", "depth", "alpha", "features"), (3, 1, 1, planes - 5), images, strict=True):
+        if image is None:
+            image = torch.zeros(1, device=where).expand(views, height, width, count)
+        image = image.reshape(views, height, width, count).movedim(-1, 1)
+        setattr(gradient, name, wp.from_torch(image))
+    return gradient
 
 
 def _draw(name: str, inputs: list[Any], spans: list[int], where: torch.device, threads: int) -> None:
