@@ -14,7 +14,7 @@ typedef int mask __attribute__((vector_size(64), aligned(64)));
 
 struct Job {
     const float* records;  // [N, 16]
-    const int *ranges, *isect_from_sorted, *gaussian_from_isect, *gaussian_from_rank, *ends;
+    const int *ranges, *isect_from_sorted, *gaussian_from_isect, *ends;
     int width, height, gaussians;
 
     int across() const { return (width + 15) / 16; }
@@ -285,11 +285,11 @@ void composite_adjoint(const Job* job, const float* image, const float* v_image,
     for (int tile = 0; tile < job->tiles(); ++tile) draw_adjoint(Tile(*job, tile), image, v_image, slots);
 }
 void gather(const Job* job, const float* slots, float* v_records) {
-    for (int rank = 0, k = 0; rank < job->gaussians; ++rank) {
+    for (int gaussian = 0, k = 0; gaussian < job->gaussians; ++gaussian) {
         float total[16] = {};
-        for (; k < job->ends[rank]; ++k)
+        for (; k < job->ends[gaussian]; ++k)
             for (int j = 0; j < 10; ++j) total[j] += slots[10l * k + j];
-        std::memcpy(v_records + 16l * job->gaussian_from_rank[rank], total, sizeof total);
+        std::memcpy(v_records + 16l * gaussian, total, sizeof total);
     }
 }
 }

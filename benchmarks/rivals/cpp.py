@@ -18,7 +18,7 @@ from dwgs.splat.ops.bin import Binned
 
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fPIC")
 _CONSTANTS = {"MAX_ALPHA": MAX_ALPHA, "STOP_TRANSMITTANCE": STOP_TRANSMITTANCE, "LOG_MIN_ALPHA": log(MIN_ALPHA)}
-_RECORDS = ("records", "ranges", "isect_from_sorted", "gaussian_from_isect", "gaussian_from_rank", "ends")
+_RECORDS = ("records", "ranges", "isect_from_sorted", "gaussian_from_isect", "ends")
 
 
 class _Job(ctypes.Structure):

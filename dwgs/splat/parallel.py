@@ -13,14 +13,14 @@ from typing import Any
 
 import warp as wp
 
-from dwgs.splat.kernels import bin, composite_cpu, composite_cuda, gather, project
+from dwgs.splat.kernels import bin_cpu, bin_cuda, composite_cpu, composite_cuda, gather, project
 
 CHUNKS_PER_THREAD = 4
 """Threads take chunks as they come, so one slow thread does not hold up the rest."""
 _GRAIN = 16384
 """Items of little work that are worth handing to another thread."""
 
-_MODULES = {"cpu": (project, bin, composite_cpu, gather), "cuda": (project, bin, composite_cuda, gather)}
+_MODULES = {"cpu": (project, bin_cpu, composite_cpu, gather), "cuda": (project, bin_cuda, composite_cuda, gather)}
 _loaded: set[str] = set()
 _loading = threading.Lock()
 _pool = ThreadPoolExecutor(max_workers=16, thread_name_prefix="splat")

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 
 from dwgs.splat import Rendering, Splats, View
+from dwgs.splat.kernels import composite_cuda
+from dwgs.splat.ops import bin, composite
 
 
 @pytest.fixture
@@ -41,6 +43,14 @@ def make_view() -> Callable[..., View]:
         return View(viewmat, (0.9 * width, 0.95 * width, 0.49 * width, 0.51 * height), width, height)
 
     return view
+
+
+@pytest.fixture
+def as_on_gpu(monkeypatch) -> None:
+    """Bin and composite as on a GPU; each lane is a warp of its own."""
+    monkeypatch.setitem(bin._WAYS, "cpu", bin._WAYS["cuda"])
+    monkeypatch.setitem(composite._SCHEMES, "cpu", composite_cuda)
+    monkeypatch.setattr(composite_cuda, "SLOTS", composite_cuda.BLOCK)
 
 
 @pytest.fixture

@@ -83,6 +83,7 @@ def test_views_of_a_batch_have_one_size(make_view):
         View.batch([make_view(width=20), make_view(width=30)])
 
 
+@pytest.mark.usefixtures("as_on_gpu")
 def test_room_for_intersections_changes_nothing_while_there_is_enough(make_cloud, make_view, leaves):
     splats, view = make_cloud(), make_view()
     tensors = leaves(splats)
@@ -98,6 +99,7 @@ def test_room_for_intersections_changes_nothing_while_there_is_enough(make_cloud
             assert torch.equal(a, b)
 
 
+@pytest.mark.usefixtures("as_on_gpu")
 def test_too_little_room_is_told_and_harms_nothing(make_cloud, make_view, leaves):
     splats, view = make_cloud(), make_view()
     tensors = leaves(splats)

@@ -10,7 +10,7 @@ from math import log
 import warp as wp
 
 from dwgs.splat.constants import MAX_ALPHA, MIN_ALPHA, STOP_TRANSMITTANCE
-from dwgs.splat.kernels.bin import Bins
+from dwgs.splat.kernels.bins import Bins
 from dwgs.splat.kernels.canvas import Canvas, Gradient
 from dwgs.splat.kernels.gather import slot10
 from dwgs.splat.kernels.project import record16

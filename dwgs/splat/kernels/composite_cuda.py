@@ -8,7 +8,7 @@ shuffles. Launched over tiles x `BLOCK` threads, ``block_dim=BLOCK``.
 import warp as wp
 
 from dwgs.splat import constants
-from dwgs.splat.kernels.bin import Bins
+from dwgs.splat.kernels.bins import Bins
 from dwgs.splat.kernels.canvas import Canvas, Gradient
 from dwgs.splat.kernels.gather import slot10
 from dwgs.splat.kernels.project import record16

@@ -19,7 +19,6 @@ def gather(
     first: int,
     slots: wp.array(dtype=slot10),
     feature_slots: wp.array(dtype=float),
-    gaussian_from_rank: wp.array(dtype=int),
     ends: wp.array(dtype=int),
     parts: int,
     per_view: int,
@@ -30,14 +29,13 @@ def gather(
     v_features: wp.array2d(dtype=float),
 ):
     """Sum the slots of each Gaussian, ``parts`` per intersection; in each view only the first are trainable."""
-    rank = first + wp.tid()
-    gaussian = gaussian_from_rank[rank]
+    gaussian = first + wp.tid()
     index = gaussian % per_view
     if index < trainable:
         begin = int(0)  # noqa: RUF046, UP018  (a variable, not a constant)
-        if rank > 0:
-            begin = ends[rank - 1]
-        end = wp.min(ends[rank] * parts, slots.shape[0])  # there may have been no room for more
+        if gaussian > 0:
+            begin = ends[gaussian - 1]
+        end = wp.min(ends[gaussian] * parts, slots.shape[0])  # there may have been no room for more
         begin *= parts
         row = gaussian / per_view * trainable + index
         total = slot10()

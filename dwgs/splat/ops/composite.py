@@ -117,11 +117,10 @@ class _Composite(torch.autograd.Function):
         inputs = [*ctx.inputs, _flat(image), v_image, trainable, *in_slots]
         v_records = torch.empty(len(records), trainable, 16, device=where)
         v_features = torch.empty(len(records), trainable, feature.shape[1], device=where)
-        order = wp.from_torch(binned.gaussian_from_rank, return_ctype=True)
         ends = wp.from_torch(binned.ends, return_ctype=True)
         v_rows = wp.from_torch(v_features.flatten(0, 1), return_ctype=True)
         numbers = [split, records.shape[1], trainable, feature.shape[1]]
-        to_gather = [*in_slots, order, ends, *numbers, _records(v_records), v_rows]
+        to_gather = [*in_slots, ends, *numbers, _records(v_records), v_rows]
         with torch_stream(where):
             _draw("composite_adjoint", inputs, ctx.spans, where, ctx.threads)
             bounds = even(len(binned.ends), _WORTH_A_THREAD, ctx.threads)
