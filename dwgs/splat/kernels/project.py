@@ -1,24 +1,23 @@
 # type: ignore  (Warp's language, which is not Python's)
 """Gaussians to image records: EWA splatting (Zwicker et al. 2001) as in 3DGS, forward and adjoint.
 
-Guards are phrased positively: NaN fails them. Names with ``v_`` are gradients of the loss by what they name.
+One text for both devices, see `lanes`: sixteen Gaussians at a time on a CPU, one on a GPU. Guards are phrased
+positively: NaN fails them. Names with ``v_`` are gradients of the loss by what they name; the rows of a matrix lie
+one after the other.
 """
+
+from math import log
 
 import warp as wp
 
-from dwgs.splat import constants
-from dwgs.splat.kernels.sh import sh_basis, sh_basis_adjoint, vec16
+from dwgs.splat.constants import LOW_PASS, MAX_TANGENT, MIN_ALPHA, NEAR
+from dwgs.splat.kernels.lanes import NUMBERS
+from dwgs.splat.kernels.sh import SH_BASIS, SH_BASIS_ADJOINT
 
 wp.set_module_options({"enable_backward": False})
 
-LOW_PASS = wp.constant(constants.LOW_PASS)
-MIN_ALPHA = wp.constant(constants.MIN_ALPHA)
-NEAR = wp.constant(constants.NEAR)
-MAX_TANGENT = wp.constant(constants.MAX_TANGENT)
-
 record16 = wp.types.vector(length=16, dtype=float)
 """See `dwgs.splat.Projected.records`."""
-mat23 = wp.types.matrix(shape=(2, 3), dtype=float)
 
 
 @wp.struct
@@ -47,273 +46,284 @@ class Lens:
     antialiased: int
 
 
-@wp.func
-def viewmat_of(lens: Lens, view: int, gaussian: int) -> wp.mat44:
-    """camera_from_object of a Gaussian's object."""
-    if lens.object_from_gaussian.shape[0] > 0:
-        return lens.viewmats[view, lens.object_from_gaussian[gaussian]]
-    return lens.viewmats[view, 0]
+_GAUSSIANS = f"""
+{NUMBERS}
+    const float low_pass = {LOW_PASS}f, max_tangent = {MAX_TANGENT}f;
+    const float *means = (const float*)cloud.means.data, *quats = (const float*)cloud.quats.data;
+    const float *scales = (const float*)cloud.scales.data, *opacities = cloud.opacities.data;
+    const float* sh = (const float*)cloud.sh.data;
+    const int gaussians = cloud.means.shape[0], count = cloud.sh.shape[1];
+    auto dot = [](const number* a, const number* b) -> number {{ return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }};
+    auto clamp_tangent = [&](number t) -> number {{ return lower(higher(t, zero - max_tangent), zero + max_tangent); }};
+    auto cross = [](const number* a, const number* b, number* c) -> void {{
+        c[0] = a[1] * b[2] - a[2] * b[1];
+        c[1] = a[2] * b[0] - a[0] * b[2];
+        c[2] = a[0] * b[1] - a[1] * b[0];
+    }};
+
+    // a Gaussian before its camera: R, t of camera_from_object; m m^T is its covariance in the image [px^2]
+    number R[9], t[3], mean[3], p[3], scale[3], unit[4], squared, rz, tangent_x, tangent_y;
+    number Rq[9], JR[6], P[6], m[6], minors[3], m_xx, m_xy, m_yy, determinant;
+    auto set_pose = [&](const float* viewmat) -> void {{
+        for (int row = 0; row < 3; ++row) {{
+            for (int k = 0; k < 3; ++k) R[3 * row + k] = zero + viewmat[4 * row + k];
+            t[row] = zero + viewmat[4 * row + 3];
+        }}
+    }};
+    auto set_place = [&](int i, int end) -> void {{
+        for (int k = 0; k < 3; ++k) mean[k] = get(means, 3, k, i, end);
+        for (int k = 0; k < 3; ++k) p[k] = dot(R + 3 * k, mean) + t[k];
+    }};
+    auto set_shape = [&](int i, int end) -> void {{
+        for (int k = 0; k < 3; ++k) scale[k] = get(scales, 3, k, i, end);
+        for (int k = 0; k < 4; ++k) unit[k] = get(quats, 4, k, i, end);
+        squared = unit[0] * unit[0] + unit[1] * unit[1] + unit[2] * unit[2] + unit[3] * unit[3];
+    }};
+    auto set_footprint = [&](float fx, float fy) -> void {{
+        const number norm = root(squared);
+        for (int k = 0; k < 4; ++k) unit[k] /= norm;
+        const number w = unit[0], x = unit[1], y = unit[2], z = unit[3];
+        Rq[0] = 1.0f - 2.0f * (y * y + z * z), Rq[1] = 2.0f * (x * y - w * z), Rq[2] = 2.0f * (x * z + w * y);
+        Rq[3] = 2.0f * (x * y + w * z), Rq[4] = 1.0f - 2.0f * (x * x + z * z), Rq[5] = 2.0f * (y * z - w * x);
+        Rq[6] = 2.0f * (x * z - w * y), Rq[7] = 2.0f * (y * z + w * x), Rq[8] = 1.0f - 2.0f * (x * x + y * y);
+        // J is the derivative of the pixel by the camera point, taken no farther out than max_tangent
+        rz = 1.0f / p[2], tangent_x = clamp_tangent(p[0] * rz), tangent_y = clamp_tangent(p[1] * rz);
+        for (int k = 0; k < 3; ++k) {{
+            JR[k] = fx * rz * (R[k] - tangent_x * R[6 + k]);
+            JR[3 + k] = fy * rz * (R[3 + k] - tangent_y * R[6 + k]);
+        }}
+        for (int k = 0; k < 6; ++k) {{
+            P[k] = JR[k / 3 * 3] * Rq[k % 3] + JR[k / 3 * 3 + 1] * Rq[3 + k % 3] + JR[k / 3 * 3 + 2] * Rq[6 + k % 3];
+            m[k] = P[k] * scale[k % 3];
+        }}
+        m_xx = dot(m, m), m_xy = dot(m, m + 3), m_yy = dot(m + 3, m + 3);
+        // det(m m^T + low-pass) by Cauchy-Binet: a sum of squares, so that needles do not cancel to noise
+        cross(m, m + 3, minors);
+        determinant = dot(minors, minors) + low_pass * (m_xx + m_yy) + low_pass * low_pass;
+    }};
+"""
+"""Names both directions share."""
+
+_PROJECT = f"""
+{_GAUSSIANS}
+{SH_BASIS}
+    const int groups = (gaussians + lanes - 1) / lanes, view = group / groups, i = group % groups * lanes;
+    const float fx = lens.intrinsics.data[view][0], fy = lens.intrinsics.data[view][1];
+    const float cx = lens.intrinsics.data[view][2], cy = lens.intrinsics.data[view][3];
+    auto viewmat_of = [&](int gaussian) -> const float* {{
+        const int object = lens.object_from_gaussian.shape[0] ? lens.object_from_gaussian.data[gaussian] : 0;
+        return (const float*)(lens.viewmats.data + view * lens.viewmats.shape[1] + object);
+    }};
+    set_pose(viewmat_of(i));
+    #if !defined(__CUDA_ARCH__)
+    for (int l = 1; l < lanes && i + l < gaussians; ++l) {{
+        const float* viewmat = viewmat_of(i + l);
+        if (viewmat == viewmat_of(i + l - 1)) continue;
+        for (int k = 0; k < 12; ++k)
+            for (int m = l; m < lanes; ++m) (k % 4 == 3 ? t[k / 4] : R[k / 4 * 3 + k % 4])[m] = viewmat[k];
+    }}
+    #endif
+    set_place(i, gaussians);
+    set_shape(i, gaussians);
+    number opacity = get(opacities, 1, 0, i, gaussians);
+    number total = mean[0] + mean[1] + mean[2] + unit[0] + unit[1] + unit[2] + unit[3];
+    total += scale[0] + scale[1] + scale[2] + opacity;
+    const truth is_whole = finite(total);
+    truth is_drawn = (p[2] > {NEAR}f) & (opacity > {MIN_ALPHA}f) & (squared > 0.0f);
+
+    set_footprint(fx, fy);
+    // in float64: where a centre lies to a millionth of a pixel decides how good the gradients are
+    precise q[3];
+    for (int k = 0; k < 3; ++k) {{
+        q[k] = to_precise(t[k]);
+        for (int j = 0; j < 3; ++j) q[k] += to_precise(R[3 * k + j]) * to_precise(mean[j]);
+    }}
+    q[2] = 1.0 / q[2];
+    const number x = to_number((double)fx * q[0] * q[2] + (double)cx);
+    const number y = to_number((double)fy * q[1] * q[2] + (double)cy);
+    // what the low-pass must leave of the opacity so that the Gaussian sheds no more light than without it:
+    // Mip-Splatting (Yu et al. 2024), its 2D filter
+    if (lens.antialiased) opacity *= root(dot(minors, minors) / determinant);
+    const number log_opacity = logarithm(opacity), reach = 2.0f * (log_opacity - {log(MIN_ALPHA)!r}f);
+    const number xx = m_xx + low_pass, yy = m_yy + low_pass;
+    const number extent_x = root(reach * xx), extent_y = root(reach * yy);
+    is_drawn &= (reach > 0.0f) & (x + extent_x > 0.0f) & (x - extent_x < lens.width);
+    is_drawn &= (y + extent_y > 0.0f) & (y - extent_y < lens.height);
+
+    number color[3] = {{zero + 0.5f, zero + 0.5f, zero + 0.5f}};
+    if (any(is_drawn)) {{
+        number direction[3], basis[16];
+        for (int k = 0; k < 3; ++k) direction[k] = mean[k] + R[k] * t[0] + R[3 + k] * t[1] + R[6 + k] * t[2];
+        const number distance = root(dot(direction, direction));
+        sh_basis(direction[0] / distance, direction[1] / distance, direction[2] / distance, basis);
+        for (int k = 0; k < count; ++k)
+            for (int c = 0; c < 3; ++c) color[c] += basis[k] * get(sh, 3 * count, 3 * k + c, i, gaussians);
+    }}
+    number record[16] = {{
+        x, y, yy / determinant, -m_xy / determinant, xx / determinant, opacity,
+        higher(color[0], zero), higher(color[1], zero), higher(color[2], zero),
+        p[2], extent_x, extent_y, log_opacity, m_xy / xx, m_xy / yy * extent_y, root(reach * determinant / xx),
+    }};
+    total = color[0] + color[1] + color[2];
+    for (int k = 0; k < 16; ++k) total += record[k];
+    const truth is_broken = is_whole ? is_drawn & ~finite(total) : ~is_whole;
+    is_drawn &= ~is_broken;
+    for (int k = 0; k < 16; ++k) record[k] = only(is_drawn, record[k]);
+    record[9] = only(finite(p[2]), p[2]);
+    record[12] = is_broken ? zero + 1.0f : record[12];
+    put_rows(records.data + view * gaussians, i, gaussians, record);
+"""
+
+_ADJOINT = f"""
+{_GAUSSIANS}
+{SH_BASIS}
+{SH_BASIS_ADJOINT}
+    const int before = view * gaussians;
+    const int object = lens.object_from_gaussian.shape[0] ? lens.object_from_gaussian.data[begin] : 0;
+    const float fx = lens.intrinsics.data[view][0], fy = lens.intrinsics.data[view][1];
+    auto add = [&](void* rows, int width, int k, int i, number v) -> void {{
+        put(rows, width, k, i, end, view ? get(rows, width, k, i, end) + v : v);
+    }};
+    number v_R[9], v_t[3], v_position[3];
+    for (int k = 0; k < 9; ++k) v_R[k] = zero;
+    for (int k = 0; k < 3; ++k) v_t[k] = v_position[k] = zero;
+    set_pose((const float*)(lens.viewmats.data + view * lens.viewmats.shape[1] + object));
+    for (int i = begin; i < end; i += lanes) {{
+        number record[16], v[16];
+        get_rows(records.data + before, i, end, record);
+        get_rows(v_records.data + before, i, end, v);
+        truth is_drawn = record[10] > zero;
+        #if !defined(__CUDA_ARCH__)
+        for (int l = end - i; l < lanes; ++l) is_drawn[l] = 0;
+        #endif
+        set_place(i, end);
+        set_shape(i, end);
+        const number norm = root(squared);
+        set_footprint(fx, fy);
+
+        // colour
+        number v_color[3], ray[3], direction[3], v_direction[3], basis[16], v_basis[16];
+        for (int c = 0; c < 3; ++c) v_color[c] = only(is_drawn & (record[6 + c] > zero), v[6 + c]);
+        for (int k = 0; k < 3; ++k) ray[k] = mean[k] + R[k] * t[0] + R[3 + k] * t[1] + R[6 + k] * t[2];
+        const number distance = root(dot(ray, ray));
+        for (int k = 0; k < 3; ++k) direction[k] = ray[k] / distance;
+        sh_basis(direction[0], direction[1], direction[2], basis);
+        for (int k = 0; k < count; ++k) {{
+            v_basis[k] = zero;
+            for (int c = 0; c < 3; ++c) {{
+                v_basis[k] += get(sh, 3 * count, 3 * k + c, i, end) * v_color[c];
+                add(v_cloud.sh.data, 3 * count, 3 * k + c, i, only(is_drawn, basis[k] * v_color[c]));
+            }}
+        }}
+        sh_basis_adjoint(direction[0], direction[1], direction[2], v_basis, v_direction);
+        number v_ray[3];
+        const number along = dot(direction, v_direction);
+        for (int k = 0; k < 3; ++k) {{
+            v_ray[k] = only(is_drawn, (v_direction[k] - direction[k] * along) / distance);
+            v_position[k] -= v_ray[k];
+        }}
+
+        // conic -> covariance -> m: v_covariance = -Q v_Q Q
+        const number a = record[2], b = record[3], c = record[4], v_b = 0.5f * v[3];
+        const number left[4] = {{a * v[2] + b * v_b, a * v_b + b * v[4], b * v[2] + c * v_b, b * v_b + c * v[4]}};
+        number v_xx = -(left[0] * a + left[1] * b), v_xy = -(left[0] * b + left[1] * c);
+        number v_yy = -(left[2] * b + left[3] * c), v_opacity = v[5];
+        if (lens.antialiased) {{
+            // d sqrt(det0 / det) = (adj(S0) / sqrt(det0 det) - compensation Q) / 2 dS
+            const number det0 = dot(minors, minors), compensation = root(det0 / determinant);
+            const number v_compensation = 0.5f * v_opacity * get(opacities, 1, 0, i, end);
+            const number both = root(det0 * determinant);
+            v_xx += v_compensation * (m_yy / both - compensation * a);
+            v_xy += v_compensation * (-m_xy / both - compensation * b);
+            v_yy += v_compensation * (m_xx / both - compensation * c);
+            v_opacity *= compensation;
+        }}
+        number v_P[6], v_scale[3], v_Rq[9], v_JR[6];
+        for (int k = 0; k < 3; ++k) {{
+            const number x = 2.0f * (v_xx * P[k] + v_xy * P[3 + k]), y = 2.0f * (v_xy * P[k] + v_yy * P[3 + k]);
+            v_scale[k] = scale[k] * (x * P[k] + y * P[3 + k]);
+            v_P[k] = x * scale[k] * scale[k], v_P[3 + k] = y * scale[k] * scale[k];
+        }}
+        for (int k = 0; k < 9; ++k) v_Rq[k] = JR[k / 3] * v_P[k % 3] + JR[3 + k / 3] * v_P[3 + k % 3];
+        for (int k = 0; k < 6; ++k) v_JR[k] = dot(v_P + k / 3 * 3, Rq + 3 * (k % 3));
+        const number w = unit[0], x = unit[1], y = unit[2], z = unit[3];
+        const number v_unit[4] = {{
+            2.0f * (x * (v_Rq[7] - v_Rq[5]) + y * (v_Rq[2] - v_Rq[6]) + z * (v_Rq[3] - v_Rq[1])),
+            2.0f * (w * (v_Rq[7] - v_Rq[5]) + y * (v_Rq[1] + v_Rq[3]) + z * (v_Rq[2] + v_Rq[6])
+                    - 2.0f * x * (v_Rq[4] + v_Rq[8])),
+            2.0f * (w * (v_Rq[2] - v_Rq[6]) + x * (v_Rq[1] + v_Rq[3]) + z * (v_Rq[5] + v_Rq[7])
+                    - 2.0f * y * (v_Rq[0] + v_Rq[8])),
+            2.0f * (w * (v_Rq[3] - v_Rq[1]) + x * (v_Rq[2] + v_Rq[6]) + y * (v_Rq[5] + v_Rq[7])
+                    - 2.0f * z * (v_Rq[0] + v_Rq[4])),
+        }};
+        const number radial = w * v_unit[0] + x * v_unit[1] + y * v_unit[2] + z * v_unit[3];
+
+        // centre: J is (fx rz, 0, -fx rz tangent_x), (0, fy rz, -fy rz tangent_y)
+        const number v_J00 = dot(v_JR, R), v_J02 = dot(v_JR, R + 6), v_J11 = dot(v_JR + 3, R + 3);
+        const number v_J12 = dot(v_JR + 3, R + 6), u_x = p[0] * rz, u_y = p[1] * rz;
+        const truth is_x_free = (u_x < max_tangent) & (u_x > -max_tangent);
+        const truth is_y_free = (u_y < max_tangent) & (u_y > -max_tangent);
+        const number v_x = fx * v[0] - only(is_x_free, fx * rz * v_J02);
+        const number v_y = fy * v[1] - only(is_y_free, fy * rz * v_J12);
+        const number v_rz = fx * (v_J00 - tangent_x * v_J02) + fy * (v_J11 - tangent_y * v_J12);
+        const number v_p[3] = {{
+            only(is_drawn, v_x * rz), only(is_drawn, v_y * rz),
+            only(is_drawn, v[9] - rz * (v_x * u_x + v_y * u_y + rz * v_rz)),
+        }};
+        const number J00 = fx * rz, J02 = -J00 * tangent_x, J11 = fy * rz, J12 = -J11 * tangent_y;
+        for (int k = 0; k < 3; ++k) {{
+            v_t[k] += v_p[k];
+            v_R[k] += only(is_drawn, J00 * v_JR[k] + v_p[0] * mean[k]);
+            v_R[3 + k] += only(is_drawn, J11 * v_JR[3 + k] + v_p[1] * mean[k]);
+            v_R[6 + k] += only(is_drawn, J02 * v_JR[k] + J12 * v_JR[3 + k] + v_p[2] * mean[k]);
+        }}
+        for (int k = 0; k < 3; ++k) {{
+            add(v_cloud.means.data, 3, k, i, R[k] * v_p[0] + R[3 + k] * v_p[1] + R[6 + k] * v_p[2] + v_ray[k]);
+            add(v_cloud.scales.data, 3, k, i, only(is_drawn, v_scale[k]));
+        }}
+        for (int k = 0; k < 4; ++k) {{
+            const number v_quat = (v_unit[k] - unit[k] * radial) / norm;
+            add(v_cloud.quats.data, 4, k, i, only(is_drawn, v_quat));
+        }}
+        add(v_cloud.opacities.data, 1, 0, i, only(is_drawn, v_opacity));
+    }}
+
+    // the camera stands at -R^T t
+    float* v_pose = (float*)(v_viewmats.data + view * (long long)v_viewmats.shape[1] + task);
+    for (int row = 0; row < 3; ++row) {{
+        v_pose[4 * row + 3] = sum(v_t[row] - dot(R + 3 * row, v_position));
+        for (int k = 0; k < 3; ++k) v_pose[4 * row + k] = sum(v_R[3 * row + k] - t[row] * v_position[k]);
+        v_pose[12 + row] = 0.0f;
+    }}
+    v_pose[15] = 0.0f;
+"""
 
 
-@wp.func
-def rotation_of(viewmat: wp.mat44) -> wp.mat33:
-    """Upper left 3x3."""
-    return wp.mat33(
-        viewmat[0, 0], viewmat[0, 1], viewmat[0, 2],
-        viewmat[1, 0], viewmat[1, 1], viewmat[1, 2],
-        viewmat[2, 0], viewmat[2, 1], viewmat[2, 2],
-    )  # fmt: skip
+@wp.func_native(_PROJECT)
+def project_group(group: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record16)):
+    """Write the records of as many Gaussians as a number has lanes."""
 
 
-@wp.func
-def translation_of(viewmat: wp.mat44) -> wp.vec3:
-    """Last column."""
-    return wp.vec3(viewmat[0, 3], viewmat[1, 3], viewmat[2, 3])
-
-
-@wp.func
-def rotation_from_quat(q: wp.vec4) -> wp.mat33:
-    """Rotation of a unit wxyz quaternion."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    return wp.mat33(
-        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
-        2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
-        2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
-    )  # fmt: skip
-
-
-@wp.func
-def rotation_from_quat_adjoint(q: wp.vec4, v: wp.mat33) -> wp.vec4:
-    """Gradient by the unit quaternion."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    return 2.0 * wp.vec4(
-        x * (v[2, 1] - v[1, 2]) + y * (v[0, 2] - v[2, 0]) + z * (v[1, 0] - v[0, 1]),
-        w * (v[2, 1] - v[1, 2]) + y * (v[0, 1] + v[1, 0]) + z * (v[0, 2] + v[2, 0]) - 2.0 * x * (v[1, 1] + v[2, 2]),
-        w * (v[0, 2] - v[2, 0]) + x * (v[0, 1] + v[1, 0]) + z * (v[1, 2] + v[2, 1]) - 2.0 * y * (v[0, 0] + v[2, 2]),
-        w * (v[1, 0] - v[0, 1]) + x * (v[0, 2] + v[2, 0]) + y * (v[1, 2] + v[2, 1]) - 2.0 * z * (v[0, 0] + v[1, 1]),
-    )
-
-
-@wp.func
-def clamp_tangent(t: float) -> float:
-    """Where the affine approximation of a tangent ``t`` is taken."""
-    return wp.clamp(t, -MAX_TANGENT, MAX_TANGENT)
-
-
-@wp.func
-def jacobian(p: wp.vec3, fx: float, fy: float) -> mat23:
-    """Derivative of the pixel by the camera point ``p``, tangents clamped."""
-    rz = 1.0 / p[2]
-    return mat23(
-        fx * rz, 0.0, -fx * rz * clamp_tangent(p[0] * rz),
-        0.0, fy * rz, -fy * rz * clamp_tangent(p[1] * rz),
-    )  # fmt: skip
-
-
-@wp.func
-def covariance_of(m: mat23) -> wp.vec3:
-    """(xx, xy, yy) of m m^T + low-pass [px^2]."""
-    a = m[0]
-    b = m[1]
-    return wp.vec3(wp.dot(a, a) + LOW_PASS, wp.dot(a, b), wp.dot(b, b) + LOW_PASS)
-
-
-@wp.func
-def determinant_of(m: mat23) -> float:
-    """det(m m^T + low-pass) by Cauchy-Binet: a sum of squares, so that needles do not cancel to noise."""
-    a = m[0]
-    b = m[1]
-    minors = wp.cross(a, b)
-    return wp.dot(minors, minors) + LOW_PASS * (wp.dot(a, a) + wp.dot(b, b)) + LOW_PASS * LOW_PASS
-
-
-@wp.func
-def compensation_of(m: mat23) -> float:
-    """What the low-pass must leave of the opacity so that the Gaussian sheds no more light than without it.
-
-    sqrt(det(m m^T) / det(m m^T + low-pass)): Mip-Splatting (Yu et al. 2024), its 2D filter.
-    """
-    minors = wp.cross(m[0], m[1])
-    return wp.length(minors) / wp.sqrt(determinant_of(m))
+@wp.func_native(_ADJOINT)
+def project_span_adjoint(
+    begin: int,
+    end: int,
+    view: int,
+    cloud: Cloud,
+    lens: Lens,
+    records: wp.array(dtype=record16),
+    v_records: wp.array(dtype=record16),
+    v_cloud: Cloud,
+    v_viewmats: wp.array2d(dtype=wp.mat44),
+    task: int,
+):
+    """Add what one view says to the gradients of a span of Gaussians; the gradient of their pose."""
 
 
 @wp.kernel
 def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record16)):
     """One record per view and Gaussian; radii stay zero where it is behind, outside, too faint or not finite."""
-    index = first + wp.tid()
-    view = index / cloud.means.shape[0]
-    i = index % cloud.means.shape[0]
-    viewmat = viewmat_of(lens, view, i)
-    R = rotation_of(viewmat)
-    t = translation_of(viewmat)
-    intrinsics = lens.intrinsics[view]
-    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
-
-    mean = cloud.means[i]
-    p = R @ mean + t
-    opacity = cloud.opacities[i]
-    quat = cloud.quats[i]
-    squared = wp.dot(quat, quat)
-    record = record16()
-    scale = cloud.scales[i]
-    check = mean[0] + mean[1] + mean[2] + quat[0] + quat[1] + quat[2] + quat[3]
-    check += scale[0] + scale[1] + scale[2] + opacity
-    is_finite = wp.isfinite(check)
-    if wp.isfinite(p[2]):
-        record[9] = p[2]
-    if p[2] > NEAR and opacity > MIN_ALPHA and squared > 0.0:
-        # in float64: where a centre lies to a millionth of a pixel decides how good the gradients are
-        q = wp.mat33d(R) @ wp.vec3d(mean) + wp.vec3d(t)
-        x = float(wp.float64(fx) * q[0] / q[2] + wp.float64(cx))
-        y = float(wp.float64(fy) * q[1] / q[2] + wp.float64(cy))
-        m = jacobian(p, fx, fy) @ R @ rotation_from_quat(quat / wp.sqrt(squared)) @ wp.diag(scale)
-        covariance = covariance_of(m)
-        if lens.antialiased != 0:
-            opacity *= compensation_of(m)
-        reach = 2.0 * wp.log(opacity / MIN_ALPHA)
-        extent_x = wp.sqrt(reach * covariance[0])
-        extent_y = wp.sqrt(reach * covariance[2])
-        inside = reach > 0.0 and x + extent_x > 0.0 and x - extent_x < lens.width
-        inside = inside and y + extent_y > 0.0 and y - extent_y < lens.height
-        if inside:
-            count = cloud.sh.shape[1]
-            direction = wp.vec3()
-            if count > 1:
-                direction = wp.normalize(mean + wp.transpose(R) @ t)
-            basis = sh_basis(direction, count)
-            color = wp.vec3(0.5, 0.5, 0.5)
-            for k in range(count):
-                color += basis[k] * cloud.sh[i, k]
-            determinant = determinant_of(m)
-            conic = wp.vec3(covariance[2], -covariance[1], covariance[0]) / determinant
-            tilt = covariance[1] / covariance[0]
-            summit = covariance[1] / covariance[2] * extent_y
-            waist = wp.sqrt(reach * determinant / covariance[0])
-            total = x + y + extent_x + extent_y + conic[0] + conic[1] + conic[2] + color[0] + color[1] + color[2]
-            is_finite = is_finite and wp.isfinite(total + tilt + summit + waist)
-            if is_finite:
-                record = record16(
-                    x, y, conic[0], conic[1], conic[2], opacity,
-                    wp.max(color[0], 0.0), wp.max(color[1], 0.0), wp.max(color[2], 0.0),
-                    p[2], extent_x, extent_y, wp.log(opacity), tilt, summit, waist,
-                )  # fmt: skip
-    if not is_finite:
-        record[12] = 1.0
-    records[index] = record
-
-
-@wp.func
-def view_adjoint(
-    cloud: Cloud,
-    lens: Lens,
-    records: wp.array(dtype=record16),
-    v_records: wp.array(dtype=record16),
-    view: int,
-    span: wp.vec2i,
-    v_cloud: Cloud,
-) -> wp.mat44:
-    """Add what one view says to the gradients of a span of Gaussians; the gradient of their pose."""
-    viewmat = viewmat_of(lens, view, span[0])
-    R = rotation_of(viewmat)
-    Rt = wp.transpose(R)
-    t = translation_of(viewmat)
-    fx = lens.intrinsics[view][0]
-    fy = lens.intrinsics[view][1]
-    count = cloud.sh.shape[1]
-    before = view * cloud.means.shape[0]
-    v_R = wp.mat33()
-    v_t = wp.vec3()
-    v_position = wp.vec3()
-    for i in range(span[0], span[1]):
-        record = records[before + i]
-        if record[10] > 0.0:
-            v = v_records[before + i]
-            mean = cloud.means[i]
-            p = R @ mean + t
-            rz = 1.0 / p[2]
-
-            # colour
-            v_color = wp.vec3(v[6], v[7], v[8])
-            for channel in range(3):
-                if record[6 + channel] <= 0.0:
-                    v_color[channel] = 0.0
-            direction = wp.vec3()
-            distance = float(1.0)  # noqa: UP018  (a variable, not a constant)
-            if count > 1:
-                ray = mean + Rt @ t
-                distance = wp.length(ray)
-                direction = ray / distance
-            basis = sh_basis(direction, count)
-            v_basis = vec16()
-            for k in range(count):
-                v_cloud.sh[i, k] = v_cloud.sh[i, k] + basis[k] * v_color
-                v_basis[k] = wp.dot(cloud.sh[i, k], v_color)
-            v_direction = sh_basis_adjoint(direction, v_basis, count)
-            v_ray = (v_direction - direction * wp.dot(direction, v_direction)) / distance
-            v_position -= v_ray
-
-            # conic -> covariance -> m
-            quat = cloud.quats[i]
-            norm = wp.length(quat)
-            unit = quat / norm
-            Rq = rotation_from_quat(unit)
-            scale = cloud.scales[i]
-            J = jacobian(p, fx, fy)
-            JR = J @ R
-            P = JR @ Rq
-            Q = wp.mat22(record[2], record[3], record[3], record[4])
-            v_Q = wp.mat22(v[2], 0.5 * v[3], 0.5 * v[3], v[4])
-            v_covariance = -1.0 * (Q @ v_Q @ Q)
-            v_opacity = v[5]
-            if lens.antialiased != 0:
-                # d sqrt(det0 / det) = (adj(S0) / sqrt(det0 det) - compensation Q) / 2 dS
-                m = P @ wp.diag(scale)
-                minors = wp.cross(m[0], m[1])
-                det0 = wp.dot(minors, minors)
-                det = determinant_of(m)
-                compensation = wp.sqrt(det0 / det)
-                v_compensation = 0.5 * v_opacity * cloud.opacities[i]
-                adj0 = wp.mat22(wp.dot(m[1], m[1]), -wp.dot(m[0], m[1]), -wp.dot(m[0], m[1]), wp.dot(m[0], m[0]))
-                v_covariance += v_compensation * (adj0 / wp.sqrt(det0 * det) - compensation * Q)
-                v_opacity *= compensation
-            v_P = 2.0 * (v_covariance @ P @ wp.diag(wp.cw_mul(scale, scale)))
-            v_m = 2.0 * (v_covariance @ P @ wp.diag(scale))
-            v_scale = wp.vec3()
-            for axis in range(3):
-                v_scale[axis] = v_m[0, axis] * P[0, axis] + v_m[1, axis] * P[1, axis]
-            v_unit = rotation_from_quat_adjoint(unit, wp.transpose(JR) @ v_P)
-            v_JR = v_P @ wp.transpose(Rq)
-            v_J = v_JR @ Rt
-
-            # centre
-            u = p[0] * rz
-            w = p[1] * rz
-            v_u = fx * v[0]
-            v_w = fy * v[1]
-            if wp.abs(u) < MAX_TANGENT:
-                v_u -= fx * rz * v_J[0, 2]
-            if wp.abs(w) < MAX_TANGENT:
-                v_w -= fy * rz * v_J[1, 2]
-            v_rz = fx * (v_J[0, 0] - clamp_tangent(u) * v_J[0, 2]) + fy * (v_J[1, 1] - clamp_tangent(w) * v_J[1, 2])
-            v_z = v[9] - rz * (v_u * u + v_w * w + rz * v_rz)
-            v_p = wp.vec3(v_u * rz, v_w * rz, v_z)
-            v_t += v_p
-            v_R += wp.transpose(J) @ v_JR + wp.outer(v_p, mean)
-
-            v_cloud.means[i] = v_cloud.means[i] + Rt @ v_p + v_ray
-            v_cloud.quats[i] = v_cloud.quats[i] + (v_unit - unit * wp.dot(unit, v_unit)) / norm
-            v_cloud.scales[i] = v_cloud.scales[i] + v_scale
-            v_cloud.opacities[i] = v_cloud.opacities[i] + v_opacity
-
-    # the camera stands at -R^T t
-    v_t -= R @ v_position
-    v_R -= wp.outer(t, v_position)
-    return wp.mat44(
-        v_R[0, 0], v_R[0, 1], v_R[0, 2], v_t[0],
-        v_R[1, 0], v_R[1, 1], v_R[1, 2], v_t[1],
-        v_R[2, 0], v_R[2, 1], v_R[2, 2], v_t[2],
-        0.0, 0.0, 0.0, 0.0,
-    )  # fmt: skip
+    project_group(first + wp.tid(), cloud, lens, records)
 
 
 @wp.kernel
@@ -331,13 +341,5 @@ def project_adjoint(
     """Gradients of a span of Gaussians per task, all of one object; each sums its share of the poses' gradients."""
     task = first + wp.tid()
     span = spans[task]
-    count = cloud.sh.shape[1]
-    for i in range(span[0], span[1]):
-        v_cloud.means[i] = wp.vec3()
-        v_cloud.quats[i] = wp.vec4()
-        v_cloud.scales[i] = wp.vec3()
-        v_cloud.opacities[i] = 0.0
-        for k in range(count):
-            v_cloud.sh[i, k] = wp.vec3()
     for view in range(lens.viewmats.shape[0]):
-        v_viewmats[view, task] = view_adjoint(cloud, lens, records, v_records, view, span, v_cloud)
+        project_span_adjoint(span[0], span[1], view, cloud, lens, records, v_records, v_cloud, v_viewmats, task)

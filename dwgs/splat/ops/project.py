@@ -11,6 +11,7 @@ from torch.autograd.function import once_differentiable
 
 from dwgs.scene import InputError
 from dwgs.splat.kernels import project as kernels
+from dwgs.splat.kernels.lanes import LANES
 from dwgs.splat.ops.stream import torch_stream
 from dwgs.splat.parallel import even, launch, load
 from dwgs.splat.splats import Objects, Projected, Splats, View
@@ -65,7 +66,9 @@ class _Project(torch.autograd.Function):
         load(device)
         inputs = [_cloud(tensors), _lens(view, objects, antialiased, tensors[5])]
         with torch_stream(where):
-            bounds = even(records.shape[0] * records.shape[1], _WORTH_A_THREAD, threads)
+            lanes = LANES[where.type]
+            groups = len(records) * -(-records.shape[1] // lanes)
+            bounds = even(groups, _WORTH_A_THREAD // lanes, threads)
             launch(kernels.project, bounds, [*inputs, _records(records)], device, threads)
         # not the records: whoever keeps its own output is never freed
         ctx.inputs, ctx.objects, ctx.threads = inputs, objects, threads
