@@ -51,18 +51,15 @@ def launch(kernel: Any, items: int | Sequence[int], inputs: Sequence, device: wp
         return
     spans = iter([(a, b) for a, b in itertools.pairwise(bounds) if a < b])  # each span goes to one thread
 
-    def work(command: Any) -> None:
+    def work() -> None:
+        command = wp.launch(kernel, dim=1, inputs=[0, *inputs], device=device, record_tape=False, record_cmd=True)
         for begin, end in spans:
             command.set_param_at_index(0, begin)
             command.set_dim(end - begin)
             command.launch()
 
-    commands = [
-        wp.launch(kernel, dim=1, inputs=[0, *inputs], device=device, record_tape=False, record_cmd=True)
-        for _ in range(threads)
-    ]
-    others = [_pool.submit(work, command) for command in commands[1:]]
-    work(commands[0])
+    others = [_pool.submit(work) for _ in range(threads - 1)]
+    work()
     for other in others:
         if not other.cancel():  # a thread that has not begun by now has nothing left to do
             other.result()

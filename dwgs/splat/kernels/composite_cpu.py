@@ -13,6 +13,7 @@ from dwgs.splat.constants import MAX_ALPHA, MIN_ALPHA, STOP_TRANSMITTANCE
 from dwgs.splat.kernels.bins import Bins
 from dwgs.splat.kernels.canvas import Canvas, Gradient
 from dwgs.splat.kernels.gather import slot10
+from dwgs.splat.kernels.lanes import TRANSPOSE
 from dwgs.splat.kernels.project import record16
 
 wp.set_module_options({"enable_backward": False})
@@ -23,7 +24,6 @@ SLOTS = 1
 _PRELUDE = f"""
     #pragma clang fp contract(on)
     typedef float block __attribute__((vector_size(64)));
-    typedef float half __attribute__((vector_size(32)));
     typedef float quarter __attribute__((vector_size(16)));
     typedef float loose __attribute__((vector_size(16), aligned(4)));
     typedef int mask __attribute__((vector_size(64)));
@@ -32,7 +32,8 @@ _PRELUDE = f"""
     const float slack = 0.01f;  // [px] no rounding hides a block that an ellipse touches
     const block lane_x = {{0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3}};
     const block lane_y = {{0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3}};
-    const block strip_x = 4.0f * lane_x, strip_y = 4.0f * lane_y;  // of block b, in lane b
+    block pixel_x[16], pixel_y[16];  // of each block, from the tile's first
+    for (int b = 0; b < 16; ++b) pixel_x[b] = lane_x + b % 4 * 4.0f, pixel_y[b] = lane_y + b / 4 * 4.0f;
     const float max_alpha = {MAX_ALPHA}f, cut = {log(MIN_ALPHA) / 8!r}f, stop = {STOP_TRANSMITTANCE}f;
 
     const int width = canvas.width, height = canvas.height;
@@ -66,10 +67,8 @@ _PRELUDE = f"""
         __builtin_memcpy(&b, &f, 2);
         return b;
     }};
-    auto root = [](quarter x) -> quarter {{
-        const quarter none = {{}};
-        return __builtin_elementwise_sqrt(x > none ? x : none);
-    }};
+    auto lower = [](block a, block b) -> block {{ return a < b ? a : b; }};
+    auto higher = [](block a, block b) -> block {{ return a > b ? a : b; }};
     auto reciprocal = [&](block x) -> block {{
         #if defined(__AVX512F__)
         const block r = __builtin_ia32_rcp14ps512_mask(x, zero, -1);  // good to 2^-14; a step of Newton's to 2^-28
@@ -78,10 +77,7 @@ _PRELUDE = f"""
         return 1.0f / x;
         #endif
     }};
-    auto four = [](quarter q) -> block {{
-        return __builtin_shufflevector(q, q, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3);
-    }};
-
+{TRANSPOSE}
     // exp(8 u) for u in [-0.7, 0], all that the cut at 1/255 lets pass: the eighth power of a polynomial fitted to
     // exp there, good to 2e-9 (its Taylor series would be good to 1e-5); elsewhere the result is any number
     auto exp8 = [&](block u) -> block {{
@@ -100,7 +96,7 @@ _PRELUDE = f"""
     block T[16];
     unsigned alive = 0;  // blocks where a pixel takes light
     for (int b = 0; b < 16; ++b) {{
-        const mask inside = (lane_x + strip_x[b] < (float)columns) & (lane_y + strip_y[b] < (float)rows);
+        const mask inside = (pixel_x[b] < (float)columns) & (pixel_y[b] < (float)rows);
         T[b] = inside ? (layered ? load(front, 4, b) : one) : zero;
         alive |= (bits(T[b] >= stop) != 0) << b;
     }}
@@ -108,53 +104,49 @@ _PRELUDE = f"""
 """Names both loops share. Pixels outside the image start without light."""
 
 _BATCH = """
-    const float* batch[16];
-    unsigned reached[16];  // blocks that the ellipse alpha = 1/255 of a Gaussian touches
     const int count = end - first < 16 ? end - first : 16;
-    if (first > begin) {
-        for (int b = 0; b < 16; ++b) alive &= ~((unsigned)(bits(T[b] >= stop) == 0) << b);
-        if (!alive) break;
-    }
     for (int k = first + 16; k < first + 32 && k < end; ++k)
         __builtin_prefetch(&records.data[gaussians[isects[k]]]);  // they lie anywhere
-    for (int n = 0; n < count; ++n) {
-        const float* g = batch[n] = (const float*)&records.data[gaussians[isects[first + n]]];
-        const float x = g[0] - 0.5f - tile_x, y = g[1] - 0.5f - tile_y;
-        const quarter left = (quarter){0, 4, 8, 12} - x, right = left + 3.0f, none = {};
-        auto within = [&](float dx) -> quarter {
-            const quarter above = none + dx > left ? none + dx : left;
-            return above < right ? above : right;
-        };
-        const quarter to_top = within(g[14]), to_bottom = within(-g[14]);
-        const quarter top_x = to_top / g[10], bottom_x = to_bottom / g[10];
-        const quarter top = g[13] * to_top + g[15] * root(1.0f - top_x * top_x) + (y + slack);
-        const quarter bottom = g[13] * to_bottom - g[15] * root(1.0f - bottom_x * bottom_x) + (y - slack);
-        const mask across = (strip_x + 3.0f >= x - g[10] - slack) & (strip_x <= x + g[10] + slack);
-        reached[n] = alive & bits(across & (strip_y + 3.0f >= four(bottom)) & (strip_y <= four(top)));
+    block g[16] = {};  // one number of all sixteen, by its place in a record
+    for (int n = 0; n < count; ++n)
+        __builtin_memcpy(g + n, &records.data[gaussians[isects[first + n]]], sizeof(block));
+    transpose(g);
+    g[0] -= tile_x + 0.5f, g[1] -= tile_y + 0.5f;
+    g[2] *= -0.0625f, g[3] *= -0.125f, g[4] *= -0.0625f, g[12] *= 0.125f;  // of the exponent / 8
+    const float* const numbers = (const float*)g;
+    auto number = [&](int place, int n) -> float { return numbers[16 * place + n]; };
+    alignas(64) int reached[16];  // by block, a bit for each Gaussian whose ellipse alpha = 1/255 touches it
+    const block mean_x = g[0], mean_y = g[1], extent = g[10], tilt = g[13], summit = g[14], waist = g[15], per_extent = 1.0f / extent;
+    for (int strip = 0; strip < 4; ++strip) {
+        const block left = 4.0f * strip - mean_x, right = left + 3.0f;
+        const block to_top = lower(higher(summit, left), right), to_bottom = lower(higher(-summit, left), right);
+        const block top_x = to_top * per_extent, bottom_x = to_bottom * per_extent;
+        const block rise = waist * __builtin_elementwise_sqrt(higher(1.0f - top_x * top_x, zero));
+        const block fall = waist * __builtin_elementwise_sqrt(higher(1.0f - bottom_x * bottom_x, zero));
+        const block top = tilt * to_top + rise + (mean_y + slack), bottom = tilt * to_bottom - fall + (mean_y - slack);
+        const unsigned across = bits((right >= -extent - slack) & (left <= extent + slack));
+        for (int row = 0; row < 4; ++row)
+            reached[4 * row + strip] = across & bits((bottom <= 4.0f * row + 3.0f) & (top >= 4.0f * row));
     }
+    *(mask*)reached &= (1 << count) - 1;
 """
-"""Sixteen Gaussians at a time, so that the processor need not guess which blocks come next.
+"""Sixteen Gaussians at a time.
 
 Over each of the four strips of columns an ellipse reaches from its lowest to its highest point: those of the whole
 if they are in the strip, else at the strip's nearer end.
 """
 
-_GAUSSIAN = """
-        const float* g = batch[n];
-        const block left_x = lane_x - (g[0] - 0.5f - tile_x), top_y = lane_y - (g[1] - 0.5f - tile_y);
-        const float u_xx = -0.0625f * g[2], u_xy = -0.125f * g[3], u_yy = -0.0625f * g[4], u_0 = 0.125f * g[12];
-        for (unsigned blocks = reached[n]; blocks; blocks &= blocks - 1) {
-            const int b = __builtin_ctz(blocks);
-            const block dx = left_x + strip_x[b], dy = top_y + strip_y[b];
-            block u = dx * (dx * u_xx + dy * u_xy) + (dy * (dy * u_yy) + u_0);
-            u = u < u_0 ? u : zero + u_0;  // rounding must not lift a needle above its opacity
-            const block raw = exp8(u);
-            const mask kept = (u >= cut) & (T[b] >= stop);
-            const block clamped = raw < max_alpha ? raw : zero + max_alpha;
-            const block alpha = kept ? clamped : zero;
-            const block w = T[b] * alpha;
+_MEETING = """
+    const float u_0 = number(12, n);
+    const block dx = pixel_x[b] - number(0, n), dy = pixel_y[b] - number(1, n);
+    block u = dx * (dx * number(2, n) + dy * number(3, n)) + (dy * (dy * number(4, n)) + u_0);
+    u = lower(u, zero + u_0);  // rounding must not lift a needle above its opacity
+    const block raw = exp8(u);
+    const mask kept = (u >= cut) & (light >= stop);
+    const block alpha = kept ? lower(raw, zero + max_alpha) : zero;
+    const block w = light * alpha;
 """
-"""Sixteen pixels meet one Gaussian."""
+"""Gaussian n meets the sixteen pixels of block b."""
 
 _FORWARD = f"""
 {_PRELUDE}
@@ -164,15 +156,26 @@ _FORWARD = f"""
         for (int c = 0; c < 4; ++c) C[b][c] = layered ? load(front, c, b) : zero;
         for (int f = 0; f < features; ++f) more[b * features + f] = zero;
     }}
-    for (int first = begin; first < end; first += 16) {{
+    for (int first = begin; first < end && alive; first += 16) {{
 {_BATCH}
-        for (int n = 0; n < count; ++n) {{
-            const float* feature = feature_of(gaussians[isects[first + n]]);
-{_GAUSSIAN}
-                for (int c = 0; c < 4; ++c) C[b][c] += w * g[6 + c];
-                for (int f = 0; f < features; ++f) more[b * features + f] += w * feature[f];
-                T[b] -= w;
+        for (unsigned blocks = alive; blocks; blocks &= blocks - 1) {{
+            const int b = __builtin_ctz(blocks);
+            block light = T[b], red = C[b][0], green = C[b][1], blue = C[b][2], depth = C[b][3];
+            for (unsigned which = reached[b]; which; which &= which - 1) {{
+                const int n = __builtin_ctz(which);
+{_MEETING}
+                red += w * number(6, n);
+                green += w * number(7, n);
+                blue += w * number(8, n);
+                depth += w * number(9, n);
+                if (features) {{
+                    const float* feature = feature_of(gaussians[isects[first + n]]);
+                    for (int f = 0; f < features; ++f) more[b * features + f] += w * feature[f];
+                }}
+                light -= w;
             }}
+            T[b] = light, C[b][0] = red, C[b][1] = green, C[b][2] = blue, C[b][3] = depth;
+            alive &= ~((unsigned)(bits(light >= stop) == 0) << b);
         }}
     }}
     auto store = [&](int channel, int b, block value) {{
@@ -192,16 +195,12 @@ _FORWARD = f"""
 
 _ADJOINT = f"""
 {_PRELUDE}
-    auto fold = [](block r) -> quarter {{
-        const half h = *(half*)&r + *((half*)&r + 1);
-        return *(quarter*)&h + *((quarter*)&h + 1);
-    }};
-    auto pair = [](quarter a, quarter b) -> quarter {{
-        return __builtin_shufflevector(a, b, 0, 4, 1, 5) + __builtin_shufflevector(a, b, 2, 6, 3, 7);
-    }};
-    auto sums = [&](block r0, block r1, block r2, block r3) -> quarter {{  // of four blocks in one go
-        const quarter a = pair(fold(r0), fold(r1)), b = pair(fold(r2), fold(r3));
-        return __builtin_shufflevector(a, b, 0, 1, 4, 5) + __builtin_shufflevector(a, b, 2, 3, 6, 7);
+    auto fold = [&](block a, block b) -> block {{ return first_halves(a, b) + last_halves(a, b); }};
+    auto sums = [&](const block* v) -> block {{  // of ten blocks in one go, in the first ten lanes
+        const block even = fold(fold(fold(v[0], v[5]), fold(v[3], v[8])), fold(fold(v[2], v[7]), zero));
+        const block odd = fold(fold(fold(v[1], v[6]), fold(v[4], v[9])), zero);
+        const block all = fold(even, odd);
+        return __builtin_shufflevector(all, all, 0, 1, 2, 4, 5, 8, 9, 10, 12, 13, 3, 3, 3, 3, 3, 3);
     }};
 
     auto clear = [&](int isect) {{
@@ -239,49 +238,61 @@ _ADJOINT = f"""
     }}
     int first = begin;
     for (; first < end; first += 16) {{
+        unsigned alive = 0;
+        for (int b = 0; b < 16; ++b) alive |= (bits(T[b] >= stop) != 0) << b;
+        if (!alive) break;
 {_BATCH}
-        for (int n = 0; n < count; ++n) __builtin_prefetch(&slots.data[isects[first + n]], 1);  // they lie anywhere too
+        for (int n = 0; n < count; ++n) {{  // the lines a slot lies in
+            const char* slot = (const char*)&slots.data[isects[first + n]];
+            __builtin_prefetch(slot, 1);
+            __builtin_prefetch(slot + sizeof(slots.data[0]) - 1, 1);
+        }}
         for (int n = 0; n < count; ++n) {{
             const int isect = isects[first + n];
             const bool frozen = gaussians[isect] - view * canvas.gaussians >= trainable;
-            if (!reached[n]) {{
+            unsigned blocks = alive & bits((*(mask*)reached & 1 << n) != 0);
+            if (!blocks) {{
                 if (!frozen) clear(isect);
                 continue;
             }}
             const float* feature = feature_of(gaussians[isect]);
-            block s = zero, s_x = zero, s_y = zero, s_xx = zero, s_xy = zero, s_yy = zero, v_c[4] = {{}};
+            block s[10] = {{}};  // of x, y, xx, xy, yy, 1, r, g, b, depth
             for (int f = 0; f < features; ++f) v_f[f] = zero;
-{_GAUSSIAN}
-                block q = v[b][0] * g[6] + v[b][1] * g[7] + v[b][2] * g[8] + v[b][3] * g[9] + v[b][4];
+            for (; blocks; blocks &= blocks - 1) {{
+                const int b = __builtin_ctz(blocks);
+                const block light = T[b];
+{_MEETING}
+                block q = v[b][4];
+                for (int c = 0; c < 4; ++c) q += v[b][c] * number(6 + c, n);
                 for (int f = 0; f < features; ++f) q += v_more[b * features + f] * feature[f];
                 rest[b] -= w * q;
-                T[b] -= w;
+                T[b] = light - w;
                 if (frozen) continue;
                 const block slope = w * q - rest[b] * (alpha * reciprocal(1.0f - alpha));
                 const block v_power = raw < max_alpha ? slope : zero;  // the clamp passes no gradient
                 const block by_x = v_power * dx, by_y = v_power * dy;
-                s += v_power;
-                s_x += by_x;
-                s_y += by_y;
-                s_xx += by_x * dx;
-                s_xy += by_x * dy;
-                s_yy += by_y * dy;
-                for (int c = 0; c < 4; ++c) v_c[c] += w * v[b][c];
+                s[0] += by_x;
+                s[1] += by_y;
+                s[2] += by_x * dx;
+                s[3] += by_x * dy;
+                s[4] += by_y * dy;
+                s[5] += v_power;
+                for (int c = 0; c < 4; ++c) s[6 + c] += w * v[b][c];
                 for (int f = 0; f < features; ++f) v_f[f] += w * v_more[b * features + f];
             }}
             if (frozen) continue;
-            const quarter m1 = sums(s_x, s_y, s_xx, s_xy), m0 = sums(s, s_yy, zero, zero);
-            const quarter color = sums(v_c[0], v_c[1], v_c[2], v_c[3]);
-            float* slot = (float*)&slots.data[isect];
-            slot[0] = g[2] * m1[0] + g[3] * m1[1];
-            slot[1] = g[3] * m1[0] + g[4] * m1[1];
-            slot[2] = -0.5f * m1[2];
-            slot[3] = -m1[3];
-            slot[4] = -0.5f * m0[1];
-            slot[5] = m0[0] / g[5];
-            for (int c = 0; c < 4; ++c) slot[6 + c] = color[c];
+            const block m = sums(s);
+            const float xx = -16.0f * number(2, n), xy = -8.0f * number(3, n), yy = -16.0f * number(4, n);
+            const block own = {{xx, yy, -0.5f, -1.0f, -0.5f, 1.0f / number(5, n), 1.0f, 1.0f, 1.0f, 1.0f}};
+            const block other = {{xy, xy}};
+            const block swapped = __builtin_shufflevector(m, m, 1, 0, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+            const block value = own * m + other * swapped;
+            __builtin_memcpy(&slots.data[isect], &value, sizeof(slots.data[0]));
             float* feature_slot = feature_slots.data + isect * (long long)features;
-            for (int f = 0; f < features; ++f) feature_slot[f] = sums(v_f[f], zero, zero, zero)[0];
+            for (int f = 0; f < features; ++f) {{
+                block total[10] = {{v_f[f]}};
+                feature_slot[f] = sums(total)[0];
+            }}
         }}
     }}
     for (int k = first; k < end; ++k) clear(isects[k]);  // behind the last light

@@ -14,9 +14,9 @@ from dwgs.splat.ops.scratch import scratch
 from dwgs.splat.parallel import even, launch
 from dwgs.splat.splats import View
 
-_EMPTY_TILE = 4
+_EMPTY_TILE = 8
 """Work of a tile without Gaussians, in intersections."""
-_WORTH_A_THREAD = 16384
+_WORTH_A_THREAD = 8192
 """Gaussians that take longer to bin than to hand over."""
 
 
