@@ -34,10 +34,10 @@ def score(shot: Shot, view: View, body: Splats, shadow: Splats, threads: int) ->
     """Score one frame, and the window [h, w, 3] as it is rendered."""
     with torch.no_grad():
         vehicle = [project(part, view, threads=threads) for part in (body, shadow)]
-        rendered = shot.frozen.composite(vehicle, view, threads).rgb * shot.frozen.gain
+        rendered = shot.frozen.exposed(shot.frozen.composite(vehicle, view, threads).rgb)
         alpha = composite(vehicle[0], view, threads=threads).alpha
     frame, region = shot.sight.frame, shot.sight.region
-    image, target = rendered.numpy(), region.window.of(frame.pixels).astype(np.float32) / 255
+    image, target = rendered.numpy(), shot.pixels.astype(np.float32) / 255
     supervised = region.supervised
     return Score(
         frame.camera_name,

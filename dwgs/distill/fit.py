@@ -120,7 +120,7 @@ def _fit(
             view = shot.view_at(poses.old_from_new(i))
         vehicle = [project(part.splats(), view, threads=config.threads) for part in parts]
         rendering = shot.frozen.composite(vehicle, view, config.threads)
-        loss = _photometric(rendering.rgb * shot.frozen.gain, shot, recipe, squared_errors, i)
+        loss = _photometric(shot.frozen.exposed(rendering.rgb), shot, recipe, squared_errors, i)
         if shot.lidar is not None and config.lidar_weight > 0:
             loss = loss + config.lidar_weight * shot.lidar.error(rendering)
         loss.backward()

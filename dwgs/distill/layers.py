@@ -9,6 +9,7 @@ stopping rule lets pass.
 
 import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -18,8 +19,9 @@ from torch import Tensor
 
 from dwgs.scene import Background, Camera, Frame, Trajectory
 from dwgs.scene.pose import inverse, transform_points
-from dwgs.scene.sky import sky_image
+from dwgs.scene.sky import pixel_rays, sky_colors
 from dwgs.splat import Layers, Projected, Rendering, Splats, View, composite, project
+from dwgs.splat.constants import STOP_TRANSMITTANCE
 
 DEPTH_SLACK = 1e-3
 """Widens an interval of depths [m]: the renderer computes them in float32."""
@@ -42,7 +44,15 @@ class FrozenView:
 
     def alone(self, view: View) -> Tensor:
         """[h, w, 3] the window without the vehicle, exposed."""
-        return composite(self.between, view, self.layers, threads=1).rgb * self.gain
+        return self.exposed(composite(self.between, view, self.layers, threads=1).rgb)
+
+    def exposed(self, rgb: Tensor) -> Tensor:
+        """The colours [h, w, 3] as the camera shows them."""
+        return rgb * self.gain if self._has_gain else rgb
+
+    @cached_property
+    def _has_gain(self) -> bool:
+        return bool((self.gain != 1).any())
 
 
 class Frozen(Protocol):
@@ -89,15 +99,10 @@ class FrozenBackground:
             before, behind = projected.depths < interval[0], projected.depths > interval[1]
             front = composite(projected[drawn & before], view, threads=1)
             back = composite(projected[drawn & behind], view, threads=1)
-            sky = torch.from_numpy(sky_image(self._background.sky, camera))
-            layers = Layers(
-                front.rgb,
-                front.depth,
-                1 - front.alpha,
-                back.rgb + (1 - back.alpha)[..., None] * sky,
-                back.depth,
-                back.alpha,
-            )
+            open_sky = 1 - back.alpha >= STOP_TRANSMITTANCE  # elsewhere it counts as little as what is not drawn
+            sky = torch.from_numpy(sky_colors(self._background.sky, pixel_rays(camera)[open_sky.numpy()]))
+            back.rgb[open_sky] += (1 - back.alpha[open_sky])[:, None] * sky
+            layers = Layers(front.rgb, front.depth, 1 - front.alpha, back.rgb, back.depth, back.alpha)
             gain = self._background.exposure.get(camera_name, np.ones(3, np.float32))
             return FrozenView(layers, projected[drawn & ~before & ~behind], torch.from_numpy(gain))
 

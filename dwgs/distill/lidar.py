@@ -36,7 +36,8 @@ class LidarDepths:
 
     def error(self, rendering: Rendering) -> Tensor:
         """Mean relative difference of the rendered depth, where something is rendered."""
-        depth = rendering.expected_depth.reshape(-1)[self.pixels]
+        depth, alpha = rendering.depth.flatten()[self.pixels], rendering.alpha.flatten()[self.pixels]
+        depth = depth / alpha.clamp_min(1e-10)
         error = (self.depths - depth) / self.depths
         error = error.clamp_min(0) if self.is_bound else error.abs()
         return error.clamp_max(0.5).mean()

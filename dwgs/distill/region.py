@@ -16,6 +16,8 @@ MARGIN = 8
 """Pixels around a reactive mask, or the box of a recorded car, that are compared too."""
 APRON = 16
 """Pixels of the window around the region: nothing of the vehicle may leak there."""
+DENSE = 50_000
+"""So many of the vehicle's points tell what it covers: more would only fall into the same pixels."""
 GAP = 4
 """Points of the vehicle twice as far apart as this [px] still cover what lies between them."""
 SAMPLES = 5000
@@ -87,10 +89,13 @@ def find_region(
     supervised, reactive = window.of(supervised), window.of(reactive)
     bare = ~reactive if reactive.any() else ~supervised
     inside = window.camera(camera)
-    own = _covered(inside, world_from_vehicle, insertion)
     own_depth = camera.project(world_from_vehicle[None, :3, 3])[1][0]
-    for other, depth in _traffic(inside, tracks):
-        supervised = supervised & (~other if depth < own_depth else ~other | own)
+    traffic = [(other, depth) for other, depth in _traffic(inside, tracks) if (other & supervised).any()]
+    for other, _ in (pair for pair in traffic if pair[1] < own_depth):
+        supervised = supervised & ~other
+    farther = [other for other, depth in traffic if depth >= own_depth]
+    if farther:
+        supervised = supervised & (_covered(inside, world_from_vehicle, insertion) | ~np.logical_or.reduce(farther))
     return Region(window, supervised, bare, reactive) if supervised.any() else None
 
 
@@ -106,10 +111,13 @@ def visible_fraction(camera: Camera, world_from_vehicle: NDArray[np.float64], in
 
 def _covered(camera: Camera, world_from_vehicle: NDArray, insertion: Insertion) -> NDArray[np.bool_]:
     """[h, w] what the vehicle's points cover, gaps between them closed."""
-    pixels, depth = camera.project(transform_points(world_from_vehicle, insertion.vehicle.points))
-    with np.errstate(invalid="ignore"):
-        inside = (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1) & (depth > NEAR)
-    column, row = pixels[inside].astype(int).T
+    points = insertion.vehicle.points
+    points = points[:: len(points) // DENSE + 1]
+    x, y, depth = (transform_points(camera.camera_from_world @ world_from_vehicle, points) @ camera.K.T).T
+    in_front = depth > NEAR
+    column, row = (np.floor(a[in_front] / depth[in_front]).astype(int) for a in (x, y))
+    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    column, row = column[inside], row[inside]
     hit = np.zeros((camera.height, camera.width), bool)
     hit[row, column] = True
     closed = np.asarray(binary_fill_holes(binary_closing(np.pad(hit, GAP), iterations=GAP)), bool)

@@ -50,6 +50,8 @@ class Shot:
     """From the vehicle's frame into the window."""
     frozen: FrozenView
     """The background there."""
+    pixels: NDArray[np.uint8]
+    """[h, w, 3] the frame."""
     target: Tensor
     """[h, w, 3] in [0, 1]: the frame; the background alone where nothing of the vehicle may show."""
     weight: Tensor
@@ -126,8 +128,10 @@ def prepare_shots(
         )
         background_camera = window.camera(sight.background_camera)
         frozen = background.freeze(background_camera, sight.frame.camera_name, interval)
-        pixels = torch.from_numpy(window.of(sight.frame.pixels).astype(np.float32) / 255)
-        bare = torch.from_numpy(region.bare)
+        pixels = window.of(sight.frame.pixels).copy()
+        alone = frozen.alone(View.from_camera(background_camera)).movedim(-1, 0)
+        shown = torch.from_numpy(pixels).movedim(-1, 0).contiguous() / 255  # plane by plane, as the renderer stores
+        target = torch.where(torch.from_numpy(region.bare), alone, shown)
         sweep, lidar = sweeps.get(sight.frame.index), None
         if sweep is not None and is_generated:
             lidar = static_depths(sweep, sight.background_camera, region)
@@ -137,7 +141,8 @@ def prepare_shots(
             sight,
             view,
             frozen,
-            torch.where(bare[..., None], frozen.alone(View.from_camera(background_camera)), pixels),
+            pixels,
+            target.movedim(0, -1),
             torch.from_numpy((region.supervised | region.bare).astype(np.float32)),
             lidar,
         )

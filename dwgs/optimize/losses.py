@@ -1,23 +1,33 @@
-"""Photometric losses: images [H, W, 3], weights [H, W], divided by the sum of the weights."""
+"""Photometric losses: images [H, W, 3], weights [H, W], divided by the sum of the weights.
+
+Float32 on a CPU takes one pass forward and one back; anything else takes torch's many.
+"""
+
+from typing import Any
 
 import torch
+import warp as wp
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 from torch.nn.functional import avg_pool2d
+
+from dwgs.optimize.kernels import photometric as kernels
+from dwgs.splat.parallel import even, launch
 
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 """Keep the quotients of SSIM finite where an image is black or flat."""
-BLOCK = 4
-"""Pixels; two blocks make a window."""
+THREADS, WORTH_A_THREAD = 2, 16
+"""How many share a pass, and rows of blocks that take longer than to hand them over."""
 
 
 def weighted_l1(rgb: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     """Mean absolute error."""
-    return ((rgb - target).abs().sum(-1) * weight).sum() / (3 * weight.sum().clamp_min(1))
+    return _weighted_error(rgb, target, weight, squared=False)
 
 
 def weighted_mse(rgb: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     """Mean squared error."""
-    return ((rgb - target).square().sum(-1) * weight).sum() / (3 * weight.sum().clamp_min(1))
+    return _weighted_error(rgb, target, weight, squared=True)
 
 
 def dssim(rgb: Tensor, target: Tensor, weight: Tensor) -> Tensor:
@@ -26,19 +36,86 @@ def dssim(rgb: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     A fit evaluates it at every step: flat windows on a grid cost a tenth of Gaussian ones around every pixel
     and teach the same. Pixels of no weight are taken from the target, so windows never see them.
     """
-    rgb = torch.where(weight[..., None] > 0, rgb, target)
-    x, y = rgb.permute(2, 0, 1), target.permute(2, 0, 1)
-    moments = _window_means(torch.cat([x, y, x * x, y * y, x * y]))
-    mean_x, mean_y, square_x, square_y, product = moments.split(len(x))
+    if _is_quick(rgb):
+        blocks = _Moments.apply(rgb, target, weight)
+    else:
+        x, y = torch.where(weight[..., None] > 0, rgb, target).permute(2, 0, 1), target.permute(2, 0, 1)
+        blocks = _block_means(torch.cat([x, y, x * x, y * y, x * y]))
+    mean_x, mean_y, square_x, square_y, product = _window_means(blocks).split(3)
     variance_x, variance_y = square_x - mean_x**2, square_y - mean_y**2
     covariance = product - mean_x * mean_y
     luminance = (2 * mean_x * mean_y + SSIM_C1) / (mean_x**2 + mean_y**2 + SSIM_C1)
     structure = (2 * covariance + SSIM_C2) / (variance_x + variance_y + SSIM_C2)
-    weight = _window_means(weight[None])[0]
+    weight = _window_means(_block_means(weight[None]))[0]
     return ((1 - (luminance * structure).mean(0)) * weight).sum() / (2 * weight.sum().clamp_min(1e-6))
 
 
-def _window_means(planes: Tensor) -> Tensor:
-    """Means [C, H', W'] of planes [C, H, W] over windows of two by two blocks; those at the rim are cut."""
-    blocks = avg_pool2d(planes[None], BLOCK, ceil_mode=True)
-    return avg_pool2d(blocks, 2, 1, padding=1, count_include_pad=False)[0]
+def _weighted_error(rgb: Tensor, target: Tensor, weight: Tensor, squared: bool) -> Tensor:
+    if _is_quick(rgb):
+        return _Error.apply(rgb, target, weight, squared)
+    error = (rgb - target).square() if squared else (rgb - target).abs()
+    return (error.sum(-1) * weight).sum() / (3 * weight.sum().clamp_min(1))
+
+
+def _is_quick(rgb: Tensor) -> bool:
+    return rgb.dtype == torch.float32 and rgb.device.type == "cpu"
+
+
+class _Error(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rgb: Tensor, target: Tensor, weight: Tensor, squared: bool) -> Tensor:
+        height, width = weight.shape
+        v_rgb, sums = torch.empty(3, height, width), torch.empty(height, 2)
+        outputs = [wp.from_torch(v_rgb, return_ctype=True), wp.from_torch(sums, dtype=wp.vec2, return_ctype=True)]
+        _run(kernels.error, height, [*_images(rgb, target, weight), int(squared), *outputs])
+        total, total_weight = sums.sum(0).tolist()
+        ctx.save_for_backward(v_rgb)
+        ctx.share = 1 / (3 * max(total_weight, 1.0))
+        return rgb.new_tensor(total * ctx.share)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grad_outputs: Tensor):  # pyright: ignore[reportIncompatibleMethodOverride]
+        (v_rgb,) = ctx.saved_tensors
+        return (v_rgb * (float(grad_outputs[0]) * ctx.share)).movedim(0, -1), None, None, None
+
+
+class _Moments(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rgb: Tensor, target: Tensor, weight: Tensor) -> Tensor:
+        height, width = (-(-size // kernels.BLOCK) for size in weight.shape)
+        moments = torch.empty(3 * kernels.MOMENTS, height, width)
+        ctx.inputs, ctx.height = _images(rgb, target, weight), height
+        ctx.save_for_backward(rgb, target, weight)
+        _run(kernels.moments, height, [*ctx.inputs, wp.from_torch(moments, return_ctype=True)])
+        return moments
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grad_outputs: Tensor):  # pyright: ignore[reportIncompatibleMethodOverride]
+        _, _, weight = ctx.saved_tensors
+        v_rgb = torch.empty(3, *weight.shape)
+        v_moments = wp.from_torch(grad_outputs[0].contiguous(), return_ctype=True)
+        _run(kernels.moments_adjoint, ctx.height, [*ctx.inputs, v_moments, wp.from_torch(v_rgb, return_ctype=True)])
+        return v_rgb.movedim(0, -1), None, None
+
+
+def _run(kernel: Any, rows: int, inputs: list[Any]) -> None:
+    launch(kernel, even(rows, WORTH_A_THREAD, THREADS), inputs, wp.get_device("cpu"), THREADS)
+
+
+def _images(rgb: Tensor, target: Tensor, weight: Tensor) -> list[Any]:
+    """What a kernel takes: two images as planes, and weights."""
+    planes = [image.detach().movedim(-1, 0) for image in (rgb, target)]
+    planes = [image if image.stride(-1) == 1 else image.contiguous() for image in planes]
+    return [wp.from_torch(tensor) for tensor in (*planes, weight.contiguous())]
+
+
+def _block_means(planes: Tensor) -> Tensor:
+    """Means [C, H', W'] of planes [C, H, W] over blocks; those at the rim are cut."""
+    return avg_pool2d(planes[None], kernels.BLOCK, ceil_mode=True)[0]
+
+
+def _window_means(blocks: Tensor) -> Tensor:
+    """Means over windows of two by two blocks; those at the rim are cut."""
+    return avg_pool2d(blocks[None], 2, 1, padding=1, count_include_pad=False)[0]

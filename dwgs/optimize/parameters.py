@@ -9,7 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dwgs.optimize import kernels
+from dwgs.optimize.kernels import adam as kernels
 from dwgs.scene import Gaussians
 from dwgs.splat import Splats
 from dwgs.splat.parallel import even, launch

@@ -44,7 +44,8 @@ class Splats:
     @staticmethod
     def from_gaussians(gaussians: Gaussians, device: torch.device | str = "cpu") -> "Splats":
         """Copies of the arrays, on ``device``."""
-        return Splats(**{f.name: torch.tensor(getattr(gaussians, f.name), device=device) for f in fields(Splats)})
+        arrays = {f.name: np.ascontiguousarray(getattr(gaussians, f.name)) for f in fields(Splats)}
+        return Splats(**{name: torch.tensor(array, device=device) for name, array in arrays.items()})
 
     def to_gaussians(self) -> Gaussians:
         """Detached copies, quaternions normalised."""

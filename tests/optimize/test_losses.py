@@ -1,3 +1,4 @@
+import pytest
 import torch
 from kornia.filters import gaussian_blur2d
 from kornia.metrics import ssim as ssim_map
@@ -42,3 +43,16 @@ def test_dssim_never_sees_pixels_without_weight_and_takes_images_of_any_size():
     expected = dssim(rgb, target, weight)
     rgb[2, 3] = 1e6
     torch.testing.assert_close(dssim(rgb, target, weight), expected)
+
+
+@pytest.mark.parametrize("loss", [weighted_l1, weighted_mse, dssim])
+@pytest.mark.parametrize("size", [(64, 80), (33, 47), (5, 7), (1, 1)])
+def test_the_quick_way_is_the_exact_one(loss, size):
+    rgb, target = (image[: size[0], : size[1]] for image in images())
+    weight = torch.rand(size, generator=torch.Generator().manual_seed(2))
+    weight = torch.where(weight > 0.3, weight, 0)
+    exact = loss(*(t.double() for t in (rgb.requires_grad_(), target, weight)))
+    quick = loss(rgb, target, weight)
+    torch.testing.assert_close(quick, exact.float(), rtol=1e-5, atol=1e-7)
+    v_exact, v_quick = (torch.autograd.grad(3 * value, rgb)[0] for value in (exact, quick))
+    torch.testing.assert_close(v_quick, v_exact, rtol=1e-4, atol=1e-4 * float(v_exact.abs().max()))

@@ -116,7 +116,8 @@ _BATCH = """
     const float* const numbers = (const float*)g;
     auto number = [&](int place, int n) -> float { return numbers[16 * place + n]; };
     alignas(64) int reached[16];  // by block, a bit for each Gaussian whose ellipse alpha = 1/255 touches it
-    const block mean_x = g[0], mean_y = g[1], extent = g[10], tilt = g[13], summit = g[14], waist = g[15], per_extent = 1.0f / extent;
+    const block mean_x = g[0], mean_y = g[1], extent = g[10], tilt = g[13], summit = g[14], waist = g[15];
+    const block per_extent = 1.0f / extent;
     for (int strip = 0; strip < 4; ++strip) {
         const block left = 4.0f * strip - mean_x, right = left + 3.0f;
         const block to_top = lower(higher(summit, left), right), to_bottom = lower(higher(-summit, left), right);
