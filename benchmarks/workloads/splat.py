@@ -34,6 +34,8 @@ M_MMAP_THRESHOLD = -3
 """Of ``mallopt``."""
 WARM_UP = 2
 """Rounds that are not counted."""
+STEPS = 5
+"""In a row, after one that does not count."""
 TORCH_EVERY = 4
 """Rounds from one of torch to the next: it takes longer than all the rest."""
 
@@ -182,9 +184,9 @@ def one_round(ours: Ours, rivals: Rivals, with_torch: bool) -> tuple[dict[str, f
     times = {"composite_ms": composite_ms, "cpp_ms": milliseconds(rivals.run_cpp, time.process_time)}
     if with_torch:
         times["torch_ms"] = milliseconds(rivals.run_torch, time.process_time)
-    times["step_ms_1_thread"] = milliseconds(lambda: ours.step(1), time.perf_counter)
+    times["step_ms_1_thread"] = steady_milliseconds(lambda: ours.step(1))
     torch.set_num_threads(2)
-    times["step_ms"] = milliseconds(lambda: ours.step(2), time.perf_counter)
+    times["step_ms"] = steady_milliseconds(lambda: ours.step(2))
     ratios = {"speedup_2_threads": times["step_ms_1_thread"] / times["step_ms"]}
     if rivals.cpp.is_limit:
         ratios["ratio_to_cpp"] = composite_ms / times["cpp_ms"]
@@ -198,6 +200,11 @@ def milliseconds(work: Callable[[], object], clock: Callable[[], float]) -> floa
     start = clock()
     work()
     return 1e3 * (clock() - start)
+
+
+def steady_milliseconds(step: Callable[[], object]) -> float:
+    """How long one of many steps takes by the clock on the wall, as in a fit: the median of some in a row."""
+    return float(np.median([milliseconds(step, time.perf_counter) for _ in range(1 + STEPS)][1:]))
 
 
 def memory(name: str, gaussians: int, intersections: int) -> list[Metric]:

@@ -64,6 +64,44 @@ def lanes() -> int:
     """Threads per warp."""
 
 
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_and(value);
+#else
+    return value;
+#endif
+""")
+def all_threads(value: int) -> int:
+    """Whether ``value`` is not 0 in every thread of the block, which all of them must ask."""
+
+
+@wp.func_native(
+    f"""
+    auto record_of = [&](int k) -> const record16* {{
+        return records.data + bins.gaussian_from_isect.data[bins.isect_from_sorted.data[k]];
+    }};
+#if defined(__CUDA_ARCH__)
+    __shared__ float4 batch[{BLOCK}][4];
+    if (k < begin) {{
+        const int own = begin + threadIdx.x;
+        __syncthreads();  // nobody reads the batch before any more
+        if (own < end) for (int j = 0; j < 4; ++j) batch[threadIdx.x][j] = ((const float4*)record_of(own))[j];
+        __syncthreads();
+        return record16();
+    }}
+    return *(const record16*)batch[k - begin];
+#else
+    return k < begin ? record16() : *record_of(k);
+#endif
+""".replace("record16", "wp::vec_t<16, float>")
+)
+def batched(records: wp.array(dtype=record16), bins: Bins, begin: int, end: int, k: int) -> record16:
+    """The record of intersection ``k``, one of the next `BLOCK` from ``begin`` on.
+
+    First, with ``k`` of -1, all threads of a block carry these into shared memory, one each.
+    """
+
+
 @wp.struct
 class Pixel:
     """Where a thread draws."""
@@ -158,19 +196,23 @@ def composite(
     for f in range(canvas.features):
         image[(5 + f) * pixel.plane + pixel.shown] = 0.0
     span = bins.ranges[pixel.tile]
-    for k in range(span[0], span[1]):
-        if T < STOP_TRANSMITTANCE:
+    for begin in range(span[0], span[1], _BLOCK):
+        if all_threads(int(T < STOP_TRANSMITTANCE)) != 0:
             break
-        gaussian = bins.gaussian_from_isect[bins.isect_from_sorted[k]]
-        record = records[gaussian]
-        alpha = record[5] * falloff(record, pixel.x - record[0], pixel.y - record[1])
-        if alpha >= MIN_ALPHA:
-            w = T * wp.min(alpha, MAX_ALPHA)
-            total += w * colors_of(record)
-            T -= w
-            for f in range(canvas.features):
-                at = (5 + f) * pixel.plane + pixel.shown
-                image[at] = image[at] + w * canvas.feature[(gaussian - pixel.before) * canvas.features + f]
+        batched(records, bins, begin, span[1], -1)
+        for k in range(begin, wp.min(begin + _BLOCK, span[1])):
+            if T < STOP_TRANSMITTANCE:
+                break
+            record = batched(records, bins, begin, span[1], k)
+            alpha = record[5] * falloff(record, pixel.x - record[0], pixel.y - record[1])
+            if alpha >= MIN_ALPHA:
+                w = T * wp.min(alpha, MAX_ALPHA)
+                total += w * colors_of(record)
+                T -= w
+                row = (bins.gaussian_from_isect[bins.isect_from_sorted[k]] - pixel.before) * canvas.features
+                for f in range(canvas.features):
+                    at = (5 + f) * pixel.plane + pixel.shown
+                    image[at] = image[at] + w * canvas.feature[row + f]
     for c in range(5):
         if canvas.layered != 0:
             total[c] += T * canvas.back[c * pixel.plane + pixel.index]
@@ -214,46 +256,48 @@ def composite_adjoint(
     warp = thread % _BLOCK / lanes()
     is_writer = thread % lanes() == 0
     span = bins.ranges[pixel.tile]
-    for k in range(span[0], span[1]):
-        isect = bins.isect_from_sorted[k]
-        gaussian = bins.gaussian_from_isect[isect]
-        record = records[gaussian]
-        dx = pixel.x - record[0]
-        dy = pixel.y - record[1]
-        raw = record[5] * falloff(record, dx, dy)
-        is_kept = raw >= MIN_ALPHA and T >= STOP_TRANSMITTANCE
-        slot = slot10()
-        w = float(0.0)  # noqa: UP018
-        if is_kept:
-            alpha = wp.min(raw, MAX_ALPHA)
-            w = T * alpha
-            q = wp.dot(v, colors_of(record))
-            for f in range(canvas.features):
-                feature = canvas.feature[(gaussian - pixel.before) * canvas.features + f]
-                q += gradient_at(v_image.features, f, pixel) * feature
-            rest -= w * q
-            T -= w
-            if raw < MAX_ALPHA:  # the clamp passes no gradient
-                v_power = w * q - rest * alpha / (1.0 - alpha)
-                slot[0] = v_power * (record[2] * dx + record[3] * dy)
-                slot[1] = v_power * (record[3] * dx + record[4] * dy)
-                slot[2] = -0.5 * v_power * dx * dx
-                slot[3] = -v_power * dx * dy
-                slot[4] = -0.5 * v_power * dy * dy
-                slot[5] = v_power / record[5]
-            for c in range(4):
-                slot[6 + c] = w * v[c]
-        if gaussian - pixel.before < trainable:
-            is_touched = any_lane(int(is_kept)) != 0
-            at = isect * warps + warp
-            for j in range(10):
-                if is_touched:
-                    slot[j] = sum_lanes(slot[j])
-            if is_writer:
-                slots[at] = slot
-            for f in range(canvas.features):
-                v_feature = w * gradient_at(v_image.features, f, pixel)
-                if is_touched:
-                    v_feature = sum_lanes(v_feature)
+    for begin in range(span[0], span[1], _BLOCK):
+        batched(records, bins, begin, span[1], -1)
+        for k in range(begin, wp.min(begin + _BLOCK, span[1])):
+            isect = bins.isect_from_sorted[k]
+            gaussian = bins.gaussian_from_isect[isect]
+            record = batched(records, bins, begin, span[1], k)
+            dx = pixel.x - record[0]
+            dy = pixel.y - record[1]
+            raw = record[5] * falloff(record, dx, dy)
+            is_kept = raw >= MIN_ALPHA and T >= STOP_TRANSMITTANCE
+            slot = slot10()
+            w = float(0.0)  # noqa: UP018
+            if is_kept:
+                alpha = wp.min(raw, MAX_ALPHA)
+                w = T * alpha
+                q = wp.dot(v, colors_of(record))
+                for f in range(canvas.features):
+                    feature = canvas.feature[(gaussian - pixel.before) * canvas.features + f]
+                    q += gradient_at(v_image.features, f, pixel) * feature
+                rest -= w * q
+                T -= w
+                if raw < MAX_ALPHA:  # the clamp passes no gradient
+                    v_power = w * q - rest * alpha / (1.0 - alpha)
+                    slot[0] = v_power * (record[2] * dx + record[3] * dy)
+                    slot[1] = v_power * (record[3] * dx + record[4] * dy)
+                    slot[2] = -0.5 * v_power * dx * dx
+                    slot[3] = -v_power * dx * dy
+                    slot[4] = -0.5 * v_power * dy * dy
+                    slot[5] = v_power / record[5]
+                for c in range(4):
+                    slot[6 + c] = w * v[c]
+            if gaussian - pixel.before < trainable:
+                is_touched = any_lane(int(is_kept)) != 0
+                at = isect * warps + warp
+                for j in range(10):
+                    if is_touched:
+                        slot[j] = sum_lanes(slot[j])
                 if is_writer:
-                    feature_slots[at * canvas.features + f] = v_feature
+                    slots[at] = slot
+                for f in range(canvas.features):
+                    v_feature = w * gradient_at(v_image.features, f, pixel)
+                    if is_touched:
+                        v_feature = sum_lanes(v_feature)
+                    if is_writer:
+                        feature_slots[at * canvas.features + f] = v_feature
