@@ -14,7 +14,7 @@ from torch import Tensor
 
 from dwgs.splat import View
 from dwgs.splat.constants import MAX_ALPHA, MIN_ALPHA, STOP_TRANSMITTANCE
-from dwgs.splat.ops.bin import Binned
+from dwgs.splat.ops.binned import Binned
 
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-fPIC")
 _CONSTANTS = {"MAX_ALPHA": MAX_ALPHA, "STOP_TRANSMITTANCE": STOP_TRANSMITTANCE, "LOG_MIN_ALPHA": log(MIN_ALPHA)}

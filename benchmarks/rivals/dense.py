@@ -5,7 +5,7 @@ from torch import Tensor
 
 from dwgs.splat import View
 from dwgs.splat.constants import MAX_ALPHA, MIN_ALPHA, STOP_TRANSMITTANCE, TILE
-from dwgs.splat.ops.bin import Binned
+from dwgs.splat.ops.binned import Binned
 
 
 def composite(records: Tensor, binned: Binned, view: View) -> Tensor:

@@ -28,7 +28,8 @@ from benchmarks.metric import Metric
 from benchmarks.rivals import dense
 from benchmarks.rivals.cpp import Cpp
 from dwgs.splat import Splats, View, composite, project, render
-from dwgs.splat.ops.bin import Binned, bin
+from dwgs.splat.ops.binned import Binned
+from dwgs.splat.ops.composite import bin
 
 M_MMAP_THRESHOLD = -3
 """Of ``mallopt``."""

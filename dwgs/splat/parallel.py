@@ -13,14 +13,14 @@ from typing import Any
 
 import warp as wp
 
-from dwgs.splat.kernels import bin_cpu, bin_cuda, composite_cpu, composite_cuda, gather, project
+from dwgs.splat.kernels import bin_cuda, composite_cpu, composite_cuda, crew, gather, project
 
 CHUNKS_PER_THREAD = 4
 """Threads take chunks as they come, so one slow thread does not hold up the rest."""
 _GRAIN = 16384
 """Items of little work that are worth handing to another thread."""
 
-_MODULES = {"cpu": (project, bin_cpu, composite_cpu, gather), "cuda": (project, bin_cuda, composite_cuda, gather)}
+_MODULES = {"cpu": (project, composite_cpu), "cuda": (project, bin_cuda, composite_cuda, gather)}
 _loaded: set[str] = set()
 _loading = threading.Lock()
 _pool = ThreadPoolExecutor(max_workers=16, thread_name_prefix="splat")
@@ -63,3 +63,16 @@ def launch(kernel: Any, items: int | Sequence[int], inputs: Sequence, device: wp
     for other in others:
         if not other.cancel():  # a thread that has not begun by now has nothing left to do
             other.result()
+
+
+def launch_crew(kernel: Any, inputs: Sequence, threads: int) -> None:
+    """Run a ``kernel`` that `crew` describes, its own argument first, by so many CPU threads."""
+    counters = wp.zeros(crew.SIZE, dtype=int, device="cpu")
+    command = wp.launch(kernel, 1, [counters, *inputs], device="cpu", record_tape=False, record_cmd=True)
+
+    def join(_keep: Any = counters) -> None:
+        command.launch()
+
+    for _ in range(threads - 1):
+        _pool.submit(join)
+    command.launch()

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from dwgs.splat import Rendering, Splats, View
 from dwgs.splat.kernels import composite_cuda
-from dwgs.splat.ops import bin, composite
+from dwgs.splat.ops import composite
 
 
 @pytest.fixture
@@ -48,8 +48,7 @@ def make_view() -> Callable[..., View]:
 @pytest.fixture
 def as_on_gpu(monkeypatch) -> None:
     """Bin and composite as on a GPU; each lane is a warp of its own."""
-    monkeypatch.setitem(bin._WAYS, "cpu", bin._WAYS["cuda"])
-    monkeypatch.setitem(composite._SCHEMES, "cpu", composite_cuda)
+    monkeypatch.setitem(composite.WAYS, "cpu", composite.WAYS["cuda"])
     monkeypatch.setattr(composite_cuda, "SLOTS", composite_cuda.BLOCK)
 
 

@@ -9,7 +9,7 @@ import warp as wp
 from dwgs.splat import Layers, View, project, render
 from dwgs.splat.kernels import bin_cuda, composite_cuda, gather
 from dwgs.splat.kernels import project as project_kernels
-from dwgs.splat.ops import bin
+from dwgs.splat.ops.composite import bin
 
 
 def test_both_schemes_agree(make_cloud, make_view, leaves, gradients, request):
@@ -34,12 +34,14 @@ def test_both_schemes_agree(make_cloud, make_view, leaves, gradients, request):
         assert (a - b).norm() < 1e-5 * b.norm()
 
 
-def test_both_ways_to_bin_agree(make_cloud, make_view):
+def test_both_ways_to_bin_agree(make_cloud, make_view, request):
     view = View.batch([make_view(width=140, height=130, seed=seed) for seed in range(2)])
     splats = make_cloud(n=3000)
     splats.means[100:200] = splats.means[0]  # as deep as each other: the first comes first
     records = project(splats, view).records
-    dealt, sorted_ = (way(records, view, None, 2) for way in bin._WAYS.values())
+    dealt = bin(records, view, None, 2)
+    request.getfixturevalue("as_on_gpu")
+    sorted_ = bin(records, view, None, 2)
     assert max((dealt.ranges[:, 1] - dealt.ranges[:, 0]).tolist()) > 256
     for name in ("ends", "gaussian_from_isect", "isect_from_sorted"):
         assert getattr(dealt, name).equal(getattr(sorted_, name))

@@ -16,6 +16,7 @@ wp.set_module_options({"enable_backward": False})
 _EACH = f"""
     {TOUCHED}
     int* const place = places.data + run * (long long)places.shape[1];
+    const int begin = run * run_size, end = begin + run_size < ends.shape[0] ? begin + run_size : ends.shape[0];
     auto each = [&](const wp::vec4i& area, auto visit) -> void {{  // tile, one loop: less to guess than two
         const int across = area[1] - area[0], size = across * (area[3] - area[2]);
         int tile = area[2] * tiles[0] + area[0];
@@ -30,16 +31,16 @@ _EACH = f"""
 _COUNT = f"""
 {_EACH}
     for (int tile = 0; tile < places.shape[1]; ++tile) place[tile] = 0;
-    for (int i = bounds.data[run]; i < bounds.data[run + 1]; ++i) {{
+    for (int i = begin; i < end; ++i) {{
         const wp::vec4i area = touched(i);
-        counts.data[i] = (area[1] - area[0]) * (area[3] - area[2]);
+        ends.data[i] = (area[1] - area[0]) * (area[3] - area[2]);
         each(area, [&](int tile) {{ ++place[tile]; }});
     }}
 """
 _DEAL = f"""
 {_EACH}
-    int isect = bounds.data[run] ? ends.data[bounds.data[run] - 1] : 0;
-    for (int i = bounds.data[run]; i < bounds.data[run + 1]; ++i) {{
+    int isect = begin ? ends.data[begin - 1] : 0;
+    for (int i = begin; i < end; ++i) {{
         const float depth = ((const float*)&records.data[i])[9];
         each(touched(i), [&](int tile) {{
             const int to = place[tile]++;
@@ -54,77 +55,53 @@ _DEAL = f"""
 @wp.func_native(_COUNT)
 def count_run(
     run: int,
+    run_size: int,
     records: wp.array(dtype=record16),
-    bounds: wp.array(dtype=int),
     per_view: int,
     tiles: wp.vec2i,
-    counts: wp.array(dtype=int),
+    ends: wp.array(dtype=int),
     places: wp.array2d(dtype=int),
 ):
-    """Count both ways."""
+    """How many tiles each Gaussian of a run touches (in ``ends``), and how many of the run touch each tile."""
 
 
 @wp.func_native(_DEAL)
 def deal_run(
     run: int,
+    run_size: int,
     records: wp.array(dtype=record16),
-    bounds: wp.array(dtype=int),
     per_view: int,
     tiles: wp.vec2i,
     ends: wp.array(dtype=int),
-    places: wp.array2d(dtype=int),
-    depths: wp.array(dtype=float),
-    isects: wp.array(dtype=int),
-    gaussian_from_isect: wp.array(dtype=int),
-):
-    """Write in order of number."""
-
-
-@wp.kernel
-def count(
-    first: int,
-    records: wp.array(dtype=record16),
-    bounds: wp.array(dtype=int),
-    per_view: int,
-    tiles: wp.vec2i,
-    # outputs
-    counts: wp.array(dtype=int),
-    places: wp.array2d(dtype=int),
-):
-    """How many tiles each Gaussian of a run touches, and how many of the run touch each tile."""
-    count_run(first + wp.tid(), records, bounds, per_view, tiles, counts, places)
-
-
-@wp.kernel
-def allot(first: int, places: wp.array2d(dtype=int), ranges: wp.array(dtype=wp.vec2i)):
-    """From counts to places: where each run begins in each tile, and each tile."""
-    place = int(0)  # noqa: RUF046, UP018  (a variable, not a constant)
-    for tile in range(places.shape[1]):
-        begin = place
-        for run in range(places.shape[0]):
-            size = places[run, tile]
-            places[run, tile] = place
-            place += size
-        ranges[tile] = wp.vec2i(begin, place)
-
-
-@wp.kernel
-def deal(
-    first: int,
-    records: wp.array(dtype=record16),
-    bounds: wp.array(dtype=int),
-    per_view: int,
-    tiles: wp.vec2i,
-    ends: wp.array(dtype=int),
-    # outputs
     places: wp.array2d(dtype=int),
     depths: wp.array(dtype=float),
     isects: wp.array(dtype=int),
     gaussian_from_isect: wp.array(dtype=int),
 ):
     """Put the intersections of a run where its tiles want them: depth and number."""
-    run = first + wp.tid()
-    deal_run(run, records, bounds, per_view, tiles, ends, places, depths, isects, gaussian_from_isect)
+
+
+@wp.func_native("""
+    int total = 0;
+    for (int i = 0; i < ends.shape[0]; ++i) ends.data[i] = total += ends.data[i];
+    const int runs = places.shape[0], tiles = places.shape[1];
+    for (int tile = 0, place = 0; tile < tiles; ++tile) {
+        ranges.data[tile][0] = place;
+        for (int run = 0; run < runs; ++run) {
+            int& own = places.data[run * (long long)tiles + tile];
+            const int size = own;
+            own = place;
+            place += size;
+        }
+        ranges.data[tile][1] = place;
+    }
+    return total;
+""")
+def allot(ends: wp.array(dtype=int), places: wp.array2d(dtype=int), ranges: wp.array(dtype=wp.vec2i)) -> int:
+    """From counts to places: where each Gaussian ends, where each run begins in each tile, and each tile.
+
+    Returns the number of intersections.
+    """
 
 
 _SORT = """
@@ -176,18 +153,4 @@ def sort_tile(
     spare_depths: wp.array(dtype=float),
     spare_isects: wp.array(dtype=int),
 ):
-    """Order one tile by depth."""
-
-
-@wp.kernel
-def sort(
-    first: int,
-    ranges: wp.array(dtype=wp.vec2i),
-    # outputs
-    depths: wp.array(dtype=float),
-    isects: wp.array(dtype=int),
-    spare_depths: wp.array(dtype=float),
-    spare_isects: wp.array(dtype=int),
-):
-    """Order the intersections of each tile by depth; the spare arrays are as large."""
-    sort_tile(first + wp.tid(), ranges, depths, isects, spare_depths, spare_isects)
+    """Order the intersections of a tile by depth; the spare arrays are as large."""

@@ -1,5 +1,5 @@
 # type: ignore  (Warp's language, which is not Python's)
-"""The two compositing loops on a CPU: one task per 16x16 tile, one vector register per block of 4x4 pixels.
+"""Binning and compositing on a CPU: 16x16 tiles, one vector register per block of 4x4 pixels.
 
 Native snippets, because Warp's own scalar loops run an order of magnitude slower here. Both begin with the
 same text, so that forward and adjoint see bit-equal alphas and transmittances.
@@ -10,16 +10,15 @@ from math import log
 import warp as wp
 
 from dwgs.splat.constants import MAX_ALPHA, MIN_ALPHA, STOP_TRANSMITTANCE
+from dwgs.splat.kernels.bin_cpu import allot, count_run, deal_run, sort_tile
 from dwgs.splat.kernels.bins import Bins
 from dwgs.splat.kernels.canvas import Canvas, Gradient
-from dwgs.splat.kernels.gather import slot10
+from dwgs.splat.kernels.crew import close_phase, dismiss, is_boss, open_phase, take
+from dwgs.splat.kernels.gather import slot10, sum_slots
 from dwgs.splat.kernels.lanes import TRANSPOSE
 from dwgs.splat.kernels.project import record16
 
 wp.set_module_options({"enable_backward": False})
-
-SLOTS = 1
-"""Gradients per intersection: one task sees the whole tile."""
 
 _PRELUDE = f"""
     #pragma clang fp contract(on)
@@ -320,31 +319,104 @@ def draw_tile_adjoint(
     """Write the slots of each intersection of one tile."""
 
 
+GATHERED = 256
+"""Gaussians whose slots are summed as one item."""
+
+
 @wp.kernel
 def composite(
-    first: int,
+    crew: wp.array(dtype=int),
     canvas: Canvas,
     bins: Bins,
     records: wp.array(dtype=record16),
+    run_size: int,
     # outputs
+    ends: wp.array(dtype=int),
+    places: wp.array2d(dtype=int),
+    depths: wp.array(dtype=float),
+    spare_depths: wp.array(dtype=float),
+    spare_isects: wp.array(dtype=int),
     image: wp.array(dtype=float),
+    total: wp.array(dtype=int),
 ):
-    """One task per tile."""
-    draw_tile(first + wp.tid(), canvas, bins, records, image)
+    """Bin by runs of Gaussians, sort and draw by tiles, once per thread of the crew.
+
+    Without an image nothing is drawn; without room for the ``total`` of intersections nothing but that is found.
+    """
+    boss = is_boss(crew)
+    tiles = wp.vec2i(canvas.tiles_across, canvas.tiles_down)
+    open_phase(crew, 0, boss, places.shape[0])
+    run = take(crew, 0, -1)
+    while run >= 0:
+        count_run(run, run_size, records, canvas.gaussians, tiles, ends, places)
+        run = take(crew, 0, run)
+    close_phase(crew, 0, boss)
+
+    is_room = True
+    if boss:
+        total[0] = allot(ends, places, bins.ranges)
+        is_room = total[0] <= depths.shape[0]
+    open_phase(crew, 1, boss, places.shape[0] * int(is_room))
+    run = take(crew, 1, -1)
+    while run >= 0:
+        deal_run(
+            run,
+            run_size,
+            records,
+            canvas.gaussians,
+            tiles,
+            ends,
+            places,
+            depths,
+            bins.isect_from_sorted,
+            bins.gaussian_from_isect,
+        )
+        run = take(crew, 1, run)
+    close_phase(crew, 1, boss)
+
+    open_phase(crew, 2, boss, bins.ranges.shape[0] * int(is_room))
+    tile = take(crew, 2, -1)
+    while tile >= 0:
+        sort_tile(tile, bins.ranges, depths, bins.isect_from_sorted, spare_depths, spare_isects)
+        if image.shape[0] > 0:
+            draw_tile(tile, canvas, bins, records, image)
+        tile = take(crew, 2, tile)
+    close_phase(crew, 2, boss)
+    dismiss(crew, boss)
 
 
 @wp.kernel
 def composite_adjoint(
-    first: int,
+    crew: wp.array(dtype=int),
     canvas: Canvas,
     bins: Bins,
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
     v_image: Gradient,
     trainable: int,
+    ends: wp.array(dtype=int),
     # outputs
     slots: wp.array(dtype=slot10),
     feature_slots: wp.array(dtype=float),
+    v_records: wp.array(dtype=record16),
+    v_features: wp.array2d(dtype=float),
 ):
-    """One task per tile; slots of a view's Gaussians from ``trainable`` on are left as they are."""
-    draw_tile_adjoint(first + wp.tid(), canvas, bins, records, image, v_image, trainable, slots, feature_slots)
+    """Slots by tiles, their sums by Gaussians, once per thread of the crew."""
+    boss = is_boss(crew)
+    open_phase(crew, 0, boss, bins.ranges.shape[0])
+    tile = take(crew, 0, -1)
+    while tile >= 0:
+        draw_tile_adjoint(tile, canvas, bins, records, image, v_image, trainable, slots, feature_slots)
+        tile = take(crew, 0, tile)
+    close_phase(crew, 0, boss)
+
+    open_phase(crew, 1, boss, (ends.shape[0] + GATHERED - 1) / GATHERED)
+    span = take(crew, 1, -1)
+    while span >= 0:
+        for i in range(span * GATHERED, wp.min((span + 1) * GATHERED, ends.shape[0])):
+            sum_slots(
+                i, slots, feature_slots, ends, 1, canvas.gaussians, trainable, canvas.features, v_records, v_features
+            )
+        span = take(crew, 1, span)
+    close_phase(crew, 1, boss)
+    dismiss(crew, boss)

@@ -14,9 +14,9 @@ slot10 = wp.types.vector(length=10, dtype=float)
 """Gradient of the first ten fields of a record."""
 
 
-@wp.kernel
-def gather(
-    first: int,
+@wp.func
+def sum_slots(
+    gaussian: int,
     slots: wp.array(dtype=slot10),
     feature_slots: wp.array(dtype=float),
     ends: wp.array(dtype=int),
@@ -28,8 +28,7 @@ def gather(
     v_records: wp.array(dtype=record16),
     v_features: wp.array2d(dtype=float),
 ):
-    """Sum the slots of each Gaussian, ``parts`` per intersection; in each view only the first are trainable."""
-    gaussian = first + wp.tid()
+    """Sum the slots of a Gaussian, ``parts`` per intersection; in each view only the first are trainable."""
     index = gaussian % per_view
     if index < trainable:
         begin = int(0)  # noqa: RUF046, UP018  (a variable, not a constant)
@@ -51,3 +50,20 @@ def gather(
             for k in range(begin, end):
                 v_feature += feature_slots[k * features + j]
             v_features[row, j] = v_feature
+
+
+@wp.kernel
+def gather(
+    slots: wp.array(dtype=slot10),
+    feature_slots: wp.array(dtype=float),
+    ends: wp.array(dtype=int),
+    parts: int,
+    per_view: int,
+    trainable: int,
+    features: int,
+    # outputs
+    v_records: wp.array(dtype=record16),
+    v_features: wp.array2d(dtype=float),
+):
+    """Sum the slots of every Gaussian."""
+    sum_slots(wp.tid(), slots, feature_slots, ends, parts, per_view, trainable, features, v_records, v_features)

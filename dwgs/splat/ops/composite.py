@@ -9,14 +9,11 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from dwgs.scene import InputError
-from dwgs.splat.kernels import composite_cpu, composite_cuda
 from dwgs.splat.kernels.canvas import Canvas, Gradient
-from dwgs.splat.kernels.gather import gather, slot10
-from dwgs.splat.kernels.project import record16
-from dwgs.splat.ops.bin import bin
-from dwgs.splat.ops.scratch import scratch
+from dwgs.splat.ops import composite_cpu, composite_cuda
+from dwgs.splat.ops.binned import Binned
 from dwgs.splat.ops.stream import torch_stream
-from dwgs.splat.parallel import CHUNKS_PER_THREAD, even, launch, load
+from dwgs.splat.parallel import load
 from dwgs.splat.splats import Layers, Projected, Rendering, View, whole_tiles
 
 
@@ -54,10 +51,8 @@ def composite(
     return Rendering(*images)
 
 
-_SCHEMES = {"cpu": composite_cpu, "cuda": composite_cuda}
-"""Same kernels by name, a tile being a task on the one and a block on the other."""
-_WORTH_A_THREAD = 4096
-"""Gaussians whose slots take longer to sum up than to hand them over."""
+WAYS = {"cpu": composite_cpu, "cuda": composite_cuda}
+"""Of doing the same."""
 PLANES = 5
 """r, g, b, depth, alpha; features follow."""
 
@@ -85,12 +80,10 @@ class _Composite(torch.autograd.Function):
         load(wp.device_from_torch(where))
         shape = (views, PLANES + feature.shape[1], *whole_tiles(view.height, view.width))
         image = torch.empty(shape, device=where)
+        canvas = _canvas(view, records, layers, feature)
         with torch_stream(where):
-            binned = bin(records, view, capacity, threads)
-            inputs = [_canvas(view, records, layers, feature), binned.to_warp(), _records(records)]
-            spans = binned.chunks(threads * CHUNKS_PER_THREAD) if where.type == "cpu" else [0, len(binned.ranges)]
-            _draw("composite", [*inputs, _flat(image)], spans, where, threads)
-        ctx.inputs, ctx.binned, ctx.spans, ctx.threads = inputs, binned, spans, threads
+            binned = WAYS[where.type].draw(canvas, records, image, capacity, threads)
+        ctx.canvas, ctx.binned, ctx.threads = canvas, binned, threads
         ctx.order, ctx.counts, ctx.needs, ctx.shapes = order, counts, needs, [part.shape for part in parts]
         ctx.save_for_backward(records, image, feature)
         ctx.size = view.height, view.width
@@ -109,22 +102,11 @@ class _Composite(torch.autograd.Function):
         binned, where = ctx.binned, records.device
         trainable = sum(count for count, need in zip(ctx.counts, ctx.needs, strict=True) if need)
         v_image = _gradient(grad_outputs[:4], (len(image), image.shape[1], *ctx.size), where)
-        split = _SCHEMES[where.type].SLOTS
-        count = split * len(binned.gaussian_from_isect)
-        slots = scratch("slots", 10 * count, torch.float32, where).view(-1, 10)
-        feature_slots = scratch("feature_slots", feature.shape[1] * count, torch.float32, where)
-        in_slots = [wp.from_torch(slots, dtype=slot10, return_ctype=True), _flat(feature_slots)]
-        inputs = [*ctx.inputs, _flat(image), v_image, trainable, *in_slots]
         v_records = torch.empty(len(records), trainable, 16, device=where)
         v_features = torch.empty(len(records), trainable, feature.shape[1], device=where)
-        ends = wp.from_torch(binned.ends, return_ctype=True)
-        v_rows = wp.from_torch(v_features.flatten(0, 1), return_ctype=True)
-        numbers = [split, records.shape[1], trainable, feature.shape[1]]
-        to_gather = [*in_slots, ends, *numbers, _records(v_records), v_rows]
         with torch_stream(where):
-            _draw("composite_adjoint", inputs, ctx.spans, where, ctx.threads)
-            bounds = even(len(binned.ends), _WORTH_A_THREAD, ctx.threads)
-            launch(gather, bounds, to_gather, wp.device_from_torch(where), ctx.threads)
+            way = WAYS[where.type]
+            way.draw_adjoint(ctx.canvas, binned, records, image, v_image, v_records, v_features, ctx.threads)
         return None, None, None, None, *_by_part(ctx, v_records, v_features)
 
 
@@ -154,15 +136,11 @@ def _gradient(images: Sequence[Tensor | None], shape: tuple[int, ...], where: to
     return gradient
 
 
-def _draw(name: str, inputs: list[Any], spans: list[int], where: torch.device, threads: int) -> None:
-    """Run one of the two loops over all tiles, cut into ``spans`` of equal work, as the device likes it."""
-    device, scheme = wp.device_from_torch(where), _SCHEMES[where.type]
-    kernel = getattr(scheme, name)
-    if scheme is composite_cpu:
-        launch(kernel, spans, inputs, device, threads)
-    else:
-        pixels = spans[-1] * composite_cuda.BLOCK
-        wp.launch(kernel, pixels, inputs, device=device, block_dim=composite_cuda.BLOCK, record_tape=False)
+def bin(records: Tensor, view: View, capacity: int | None, threads: int) -> Binned:
+    """Which tiles the records [V, N, 16] touch, nearest first; without a ``capacity`` a GPU is waited for."""
+    load(wp.device_from_torch(records.device))
+    canvas = _canvas(view, records, None, records.new_zeros(0, 0))
+    return WAYS[records.device.type].draw(canvas, records, records.new_zeros(0), capacity, threads)
 
 
 def _canvas(view: View, records: Tensor, layers: Layers | None, feature: Tensor) -> Any:
@@ -175,11 +153,3 @@ def _canvas(view: View, records: Tensor, layers: Layers | None, feature: Tensor)
         canvas.front, canvas.back = wp.from_torch(layers.front.view(-1)), wp.from_torch(layers.back.view(-1))
     canvas.features, canvas.feature = feature.shape[1], wp.from_torch(feature.view(-1))
     return canvas
-
-
-def _records(records: Tensor) -> Any:
-    return wp.from_torch(records.view(-1, 16), dtype=record16, return_ctype=True)
-
-
-def _flat(image: Tensor) -> Any:
-    return wp.from_torch(image.view(-1), return_ctype=True)

@@ -17,3 +17,11 @@ def scratch(name: str, size: int, dtype: torch.dtype, device: torch.device) -> T
     if key not in buffers or len(buffers[key]) < size:
         buffers[key] = torch.empty(int(size * _GROWTH), dtype=dtype, device=device)
     return buffers[key][:size]
+
+
+def largest(name: str, size: int) -> int:
+    """A little more than the largest ``size`` that this thread ever named so."""
+    sizes: dict[str, int] = _local.__dict__.setdefault("sizes", {})
+    if sizes.get(name, -1) < size:
+        sizes[name] = int(size * _GROWTH)
+    return sizes[name]
