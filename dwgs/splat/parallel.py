@@ -52,7 +52,7 @@ def launch(kernel: Any, items: int | Sequence[int], inputs: Sequence, device: wp
     spans = iter([(a, b) for a, b in itertools.pairwise(bounds) if a < b])  # each span goes to one thread
 
     def work() -> None:
-        command = wp.launch(kernel, dim=1, inputs=[0, *inputs], device=device, record_tape=False, record_cmd=True)
+        command: Any = wp.launch(kernel, dim=1, inputs=[0, *inputs], device=device, record_tape=False, record_cmd=True)
         for begin, end in spans:
             command.set_param_at_index(0, begin)
             command.set_dim(end - begin)
@@ -68,7 +68,7 @@ def launch(kernel: Any, items: int | Sequence[int], inputs: Sequence, device: wp
 def launch_crew(kernel: Any, inputs: Sequence, threads: int) -> None:
     """Run a ``kernel`` that `crew` describes, its own argument first, by so many CPU threads."""
     counters = wp.zeros(crew.SIZE, dtype=int, device="cpu")
-    command = wp.launch(kernel, 1, [counters, *inputs], device="cpu", record_tape=False, record_cmd=True)
+    command: Any = wp.launch(kernel, 1, [counters, *inputs], device="cpu", record_tape=False, record_cmd=True)
 
     def join(_keep: Any = counters) -> None:
         command.launch()

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-PER_GAUSSIAN, PER_INTERSECTION, PER_PIXEL = 112, 28, 40
-"""Bytes of a forward pass beside its input: records of 64, depth order, tile rectangles; tile lists; planes."""
+PER_GAUSSIAN, PER_INTERSECTION, PER_PIXEL = 72, 28, 40
+"""Bytes of a forward pass beside its input: records of 64 and counts; tile lists; planes."""
 PER_INTERSECTION_BACK, PER_GAUSSIAN_BACK = 50, 160
 """What a backward pass adds: slots of 40; gradients of records and of the input itself, here of SH degree 1."""
 SLACK = 16 << 20

@@ -48,7 +48,8 @@ def draw_adjoint(
 
 def _bin(canvas: Any, records: Tensor, capacity: int | None) -> Binned:
     where, tiles = records.device, wp.vec2i(canvas.tiles_across, canvas.tiles_down)
-    n, per_view, count = records.shape[0] * records.shape[1], records.shape[1], len(records) * tiles[0] * tiles[1]
+    count = len(records) * canvas.tiles_across * canvas.tiles_down
+    n, per_view = records.shape[0] * records.shape[1], records.shape[1]
     in_records = _records(records)
 
     areas = wp.from_torch(scratch("areas", 4 * n, torch.int32, where).view(n, 4), dtype=wp.vec4i)
