@@ -33,7 +33,16 @@ _PRELUDE = f"""
     const block lane_y = {{0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3}};
     block pixel_x[16], pixel_y[16];  // of each block, from the tile's first
     for (int b = 0; b < 16; ++b) pixel_x[b] = lane_x + b % 4 * 4.0f, pixel_y[b] = lane_y + b / 4 * 4.0f;
-    const float max_alpha = {MAX_ALPHA}f, cut = {log(MIN_ALPHA) / 8!r}f, stop = {STOP_TRANSMITTANCE}f;
+    // numbers the compiler cannot see through stay in registers; known ones it would fetch anew for every block
+    const float numerals[] = {{
+        {MAX_ALPHA}f, {log(MIN_ALPHA) / 8!r}f, {STOP_TRANSMITTANCE}f, 0.0009785861979464097f, 0.007956781442508665f,
+        0.041488791404835496f, 0.16662265143851523f, 0.4999947266087482f, 0.9999997586655688f, 0.9999999981506821f,
+    }};
+    const float* numeral = numerals;
+    __asm__("" : "+r"(numeral) : : "memory");
+    const block max_alpha = zero + numeral[0], cut = zero + numeral[1], stop = zero + numeral[2];
+    const block e6 = zero + numeral[3], e5 = zero + numeral[4], e4 = zero + numeral[5], e3 = zero + numeral[6];
+    const block e2 = zero + numeral[7], e1 = zero + numeral[8], e0 = zero + numeral[9];
 
     const int width = canvas.width, height = canvas.height;
     const bool layered = canvas.layered;
@@ -81,12 +90,12 @@ _PRELUDE = f"""
     // exp there, good to 2e-9 (its Taylor series would be good to 1e-5); elsewhere the result is any number
     auto exp8 = [&](block u) -> block {{
         #pragma clang fp contract(on)
-        block e = u * 0.0009785861979464097f + 0.007956781442508665f;
-        e = e * u + 0.041488791404835496f;
-        e = e * u + 0.16662265143851523f;
-        e = e * u + 0.4999947266087482f;
-        e = e * u + 0.9999997586655688f;
-        e = e * u + 0.9999999981506821f;
+        block e = u * e6 + e5;
+        e = e * u + e4;
+        e = e * u + e3;
+        e = e * u + e2;
+        e = e * u + e1;
+        e = e * u + e0;
         e *= e;
         e *= e;
         return e * e;
@@ -137,14 +146,13 @@ if they are in the strip, else at the strip's nearer end.
 """
 
 _MEETING = """
-    const float u_0 = number(12, n);
+    const block u_0 = number(12, n) - zero;
     const block dx = pixel_x[b] - number(0, n), dy = pixel_y[b] - number(1, n);
     block u = dx * (dx * number(2, n) + dy * number(3, n)) + (dy * (dy * number(4, n)) + u_0);
-    u = lower(u, zero + u_0);  // rounding must not lift a needle above its opacity
+    u = lower(u, u_0);  // rounding must not lift a needle above its opacity
     const block raw = exp8(u);
     const mask kept = (u >= cut) & (light >= stop);
-    const block alpha = kept ? lower(raw, zero + max_alpha) : zero;
-    const block w = light * alpha;
+    const block alpha = lower(raw, max_alpha), w = kept ? light * alpha : zero;
 """
 """Gaussian n meets the sixteen pixels of block b."""
 
@@ -269,7 +277,7 @@ _ADJOINT = f"""
                 T[b] = light - w;
                 if (frozen) continue;
                 const block slope = w * q - rest[b] * (alpha * reciprocal(1.0f - alpha));
-                const block v_power = raw < max_alpha ? slope : zero;  // the clamp passes no gradient
+                const block v_power = (kept & (raw < max_alpha)) ? slope : zero;  // the clamp passes no gradient
                 const block by_x = v_power * dx, by_y = v_power * dy;
                 s[0] += by_x;
                 s[1] += by_y;
