@@ -53,7 +53,7 @@ def project(
     if sum(objects.counts) != len(splats):
         raise InputError(f"every Gaussian belongs to one object: {len(splats)} Gaussians, {objects.counts} in objects")
     records = _Project.apply(view, objects, antialiased, threads, *tensors[:5], viewmats)
-    return Projected(records if view.is_batch else records[0])
+    return Projected(records if view.is_batch else records.squeeze(0))  # whose gradient, unlike that of [0], is a view
 
 
 class _Project(torch.autograd.Function):
