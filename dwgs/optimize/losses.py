@@ -12,12 +12,9 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import avg_pool2d
 
 from dwgs.optimize.kernels import photometric as kernels
-from dwgs.splat.parallel import even, launch
 
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 """Keep the quotients of SSIM finite where an image is black or flat."""
-THREADS, WORTH_A_THREAD = 2, 16
-"""How many share a pass, and rows of blocks that take longer than to hand them over."""
 
 
 def weighted_l1(rgb: Tensor, target: Tensor, weight: Tensor) -> Tensor:
@@ -101,7 +98,7 @@ class _Moments(torch.autograd.Function):
 
 
 def _run(kernel: Any, rows: int, inputs: list[Any]) -> None:
-    launch(kernel, even(rows, WORTH_A_THREAD, THREADS), inputs, wp.get_device("cpu"), THREADS)
+    wp.launch(kernel, rows, inputs, device="cpu", record_tape=False)  # too little work to share
 
 
 def _images(rgb: Tensor, target: Tensor, weight: Tensor) -> list[Any]:

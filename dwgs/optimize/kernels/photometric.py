@@ -138,7 +138,6 @@ def block_moments_adjoint(
 
 @wp.kernel
 def error(
-    first: int,
     rgb: wp.array3d(dtype=float),
     target: wp.array3d(dtype=float),
     weights: wp.array2d(dtype=float),
@@ -148,13 +147,12 @@ def error(
     sums: wp.array(dtype=wp.vec2),
 ):
     """Weighted absolute or squared error by row of pixels, the sum of weights beside it, and the gradient."""
-    row = first + wp.tid()
+    row = wp.tid()
     sums[row] = row_error(row, rgb, target, weights, squared, v_rgb)
 
 
 @wp.kernel
 def moments(
-    first: int,
     rgb: wp.array3d(dtype=float),
     target: wp.array3d(dtype=float),
     weights: wp.array2d(dtype=float),
@@ -162,12 +160,11 @@ def moments(
     out: wp.array3d(dtype=float),
 ):
     """Means of x, y, x x, y y, x y over blocks of pixels; where there is no weight, x is y."""
-    block_moments(first + wp.tid(), rgb, target, weights, out)
+    block_moments(wp.tid(), rgb, target, weights, out)
 
 
 @wp.kernel
 def moments_adjoint(
-    first: int,
     rgb: wp.array3d(dtype=float),
     target: wp.array3d(dtype=float),
     weights: wp.array2d(dtype=float),
@@ -176,4 +173,4 @@ def moments_adjoint(
     v_rgb: wp.array3d(dtype=float),
 ):
     """The gradient by x."""
-    block_moments_adjoint(first + wp.tid(), rgb, target, weights, v_moments, v_rgb)
+    block_moments_adjoint(wp.tid(), rgb, target, weights, v_moments, v_rgb)

@@ -18,7 +18,7 @@ from dwgs.splat.splats import Objects, Projected, Splats, View
 
 _GAUSSIANS_PER_TASK = {"cpu": 256, "cuda": 1}
 """Over so many the adjoint sums the pose's gradient at once; fixed, so that threads do not change sums."""
-_WORTH_A_THREAD = 8192
+_WORTH_A_THREAD = 32768
 """Gaussians whose projection takes longer than to hand them over."""
 
 
