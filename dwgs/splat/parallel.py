@@ -1,11 +1,13 @@
 """Warp launches on several CPU threads.
 
-Warp's CPU launches are serial loops that release the GIL. A kernel made for this takes ``first`` as its first
-argument and works on item ``first + wp.tid()``; items are independent, so results do not depend on the
-number of threads. Such kernels use no atomics and no tiles: on a CPU neither is safe in threads.
+Warp's CPU launches are serial loops that release the GIL. There are two ways to share one. A kernel of one pass takes
+``first`` as its first argument and works on item ``first + wp.tid()``; chunks of items are handed out. A kernel of
+several passes is launched once by every thread, see `crew`. Items are independent, so that results do not depend on
+the number of threads; neither Warp's atomics nor its tiles are safe in threads.
 """
 
 import itertools
+import os
 import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,8 +19,8 @@ from dwgs.splat.kernels import bin_cuda, composite_cpu, composite_cuda, crew, ga
 
 CHUNKS_PER_THREAD = 4
 """Threads take chunks as they come, so one slow thread does not hold up the rest."""
-_GRAIN = 16384
-"""Items of little work that are worth handing to another thread."""
+CORES = os.cpu_count() or 1
+"""More threads than cores in a crew would wait for each other."""
 
 _MODULES = {"cpu": (project, composite_cpu), "cuda": (project, bin_cuda, composite_cuda, gather)}
 _loaded: set[str] = set()
@@ -41,9 +43,8 @@ def even(items: int, least: int, threads: int) -> list[int]:
     return [items * k // chunks for k in range(chunks + 1)]
 
 
-def launch(kernel: Any, items: int | Sequence[int], inputs: Sequence, device: wp.Device, threads: int) -> None:
-    """Run ``kernel`` over ``items``: their number, or the bounds [0, ..., number] of chunks of equal work."""
-    bounds = even(items, _GRAIN, threads) if isinstance(items, int) else list(items)
+def launch(kernel: Any, bounds: Sequence[int], inputs: Sequence, device: wp.Device, threads: int) -> None:
+    """Run ``kernel`` over items cut into chunks of equal work, by their ``bounds`` [0, ..., number of items]."""
     if bounds[-1] == 0:
         return
     if threads <= 1 or len(bounds) == 2 or not device.is_cpu:
@@ -66,13 +67,16 @@ def launch(kernel: Any, items: int | Sequence[int], inputs: Sequence, device: wp
 
 
 def launch_crew(kernel: Any, inputs: Sequence, threads: int) -> None:
-    """Run a ``kernel`` that `crew` describes, its own argument first, by so many CPU threads."""
+    """Run a ``kernel`` as `crew` describes it, whose first argument are the counters, by so many CPU threads.
+
+    Nobody waits for a thread that comes too late: it keeps what it needs to find out.
+    """
     counters = wp.zeros(crew.SIZE, dtype=int, device="cpu")
     command: Any = wp.launch(kernel, 1, [counters, *inputs], device="cpu", record_tape=False, record_cmd=True)
 
     def join(_keep: Any = counters) -> None:
         command.launch()
 
-    for _ in range(threads - 1):
+    for _ in range(min(threads, CORES) - 1):
         _pool.submit(join)
     command.launch()

@@ -18,15 +18,18 @@ PHASES = 4
 SIZE = LINE * (2 + 3 * PHASES)
 """Integers that a crew needs, zero at first: phases opened, arrivals; of each phase items, taken, finished."""
 
+_PAUSE = """
+    auto pause = [] {
+        #if defined(__x86_64__)
+        __builtin_ia32_pause();
+        #endif
+    };
+"""
 _COUNTERS = f"""
     int* const opened = crew.data;
     int* const items = crew.data + {LINE} * (2 + 3 * phase);
     int *const taken = items + {LINE}, *const finished = taken + {LINE};
-    auto pause = [] {{
-        #if defined(__x86_64__)
-        __builtin_ia32_pause();
-        #endif
-    }};
+{_PAUSE}
 """
 
 
@@ -67,8 +70,9 @@ def close_phase(crew: wp.array(dtype=int), phase: int, boss: bool):
 
 
 @wp.func_native(f"""
+    {_PAUSE}
     if (boss) __atomic_store_n(crew.data, {PHASES} + 1, __ATOMIC_RELEASE);
-    else while (__atomic_load_n(crew.data, __ATOMIC_ACQUIRE) <= {PHASES}) ;
+    else while (__atomic_load_n(crew.data, __ATOMIC_ACQUIRE) <= {PHASES}) pause();
 """)
 def dismiss(crew: wp.array(dtype=int), boss: bool):
     """The end for everybody; what a late thread finds."""

@@ -37,7 +37,8 @@ def composite(
         layers: What stands before and behind all of it.
         features: [N, F] further channels of the Gaussians, in order of all ``projected``: composited like colours.
         capacity: Room for so many intersections of Gaussians with tiles. With it a GPU is never waited for, so that a
-            step can be captured in a graph; `Rendering.intersections` tells afterwards whether it was enough.
+            step can be captured in a graph; `Rendering.intersections` tells afterwards whether it was enough. A CPU
+            makes room as it needs.
         threads: On a CPU.
     """
     parts = projected if isinstance(projected, list) else [projected]
@@ -122,9 +123,9 @@ def _by_part(ctx: Any, v_records: Tensor, v_features: Tensor) -> list[Tensor | N
 
 
 def _gradient(images: Sequence[Tensor | None], shape: tuple[int, ...], where: torch.device) -> Any:
-    """Gradients by rgb [V, H, W, 3], depth and alpha [V, H, W] and features [V, H, W, F], where they lie.
+    """For the kernels, the gradients by rgb, depth, alpha and features: as a `Rendering` has them, where they lie.
 
-    Where one is None all is zero; without views there is no V.
+    None stands for zeros; ``shape`` is V, planes, H, W.
     """
     views, planes, height, width = shape
     gradient = Gradient()
