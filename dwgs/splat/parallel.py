@@ -52,15 +52,19 @@ def launch(kernel: Any, bounds: Sequence[int], inputs: Sequence, device: wp.Devi
         return
     spans = iter([(a, b) for a, b in itertools.pairwise(bounds) if a < b])  # each span goes to one thread
 
-    def work() -> None:
-        command: Any = wp.launch(kernel, dim=1, inputs=[0, *inputs], device=device, record_tape=False, record_cmd=True)
+    def record() -> Any:
+        return wp.launch(kernel, dim=1, inputs=[0, *inputs], device=device, record_tape=False, record_cmd=True)
+
+    def work(command: Any = None) -> None:
+        command = command or record()
         for begin, end in spans:
             command.set_param_at_index(0, begin)
             command.set_dim(end - begin)
             command.launch()
 
+    own = record()  # alone: it may load the kernel, and two that do so at the same time lose it
     others = [_pool.submit(work) for _ in range(threads - 1)]
-    work()
+    work(own)
     for other in others:
         if not other.cancel():  # a thread that has not begun by now has nothing left to do
             other.result()

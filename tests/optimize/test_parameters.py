@@ -1,5 +1,7 @@
 """Trainable Gaussians: activated outside, unbounded inside, growing and shrinking under one optimiser."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -135,3 +137,19 @@ def test_pose_corrections_begin_as_nothing_and_stay_rigid():
     rotation = poses.matrix(1)[:3, :3]
     torch.testing.assert_close(rotation @ rotation.T, torch.eye(3))
     torch.testing.assert_close(poses.matrix(0), torch.eye(4))
+
+
+def test_the_first_step_of_a_process_may_take_two_threads():
+    # threads that load a kernel at the same time lose it
+    program = """
+import numpy as np
+from dwgs.optimize import Rates, SplatParameters
+from dwgs.scene import Gaussians
+n = 200_000
+cloud = Gaussians(*(np.ones(shape, np.float32) for shape in ((n, 3), (n, 4), (n, 3), n, (n, 4, 3))))
+parameters = SplatParameters(cloud, Rates(means=1, quats=1, scales=1, opacities=1, sh_dc=1, sh_rest=1))
+parameters.splats().sh.sum().backward()
+parameters.step()
+assert (parameters.to_gaussians().sh[:, 0] < 0.5).all()
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
