@@ -1,6 +1,7 @@
 """Photometric losses: images [H, W, 3], weights [H, W], divided by the sum of the weights.
 
-Float32 on a CPU takes one pass forward and one back; anything else takes torch's many.
+A gradient flows to the first image alone. Float32 on a CPU takes one pass forward and one back; anything else takes
+torch's many.
 """
 
 from typing import Any

@@ -1,7 +1,7 @@
 # type: ignore  (Warp's language, which is not Python's)
 """Binning on a CPU: deal the intersections out to their tiles, then sort each tile by itself.
 
-Gaussians are cut into a few runs, one for each task. Every run knows from the counts of those before it where in
+Gaussians are cut into a few runs. Every run knows from the counts of those before it where in
 each tile its own intersections begin, so that runs write at the same time what one alone would have written.
 """
 
@@ -11,7 +11,6 @@ from dwgs.splat.kernels.bins import TOUCHED
 from dwgs.splat.kernels.project import record16
 
 wp.set_module_options({"enable_backward": False})
-
 
 _EACH = f"""
     {TOUCHED}
@@ -110,7 +109,7 @@ _SORT = """
     const int begin = ranges.data[tile][0], count = ranges.data[tile][1] - begin;
     unsigned *keys = (unsigned*)depths.data + begin, *to_keys = (unsigned*)spare_depths.data + begin;
     int *values = isects.data + begin, *to_values = spare_isects.data + begin;
-    if (count <= 24) {
+    if (count <= 24) {  // so few are quicker inserted
         for (int k = 1; k < count; ++k) {
             const unsigned key = keys[k];
             const int value = values[k];

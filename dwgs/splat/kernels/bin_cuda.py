@@ -3,12 +3,23 @@
 
 import warp as wp
 
-from dwgs.splat.kernels.bins import size_of, tiles_touched
+from dwgs.splat.kernels.bins import TOUCHED
 from dwgs.splat.kernels.project import record16
 
 wp.set_module_options({"enable_backward": False})
 
 DEPTH_BITS = 32
+
+
+@wp.func_native(f"{TOUCHED} return touched(i);")
+def tiles_touched(records: wp.array(dtype=record16), i: int, per_view: int, tiles: wp.vec2i) -> wp.vec4i:
+    """Columns and rows of tiles that a Gaussian reaches: first, one past the last; none if it is not drawn."""
+
+
+@wp.func
+def size_of(area: wp.vec4i) -> int:
+    """Number of tiles."""
+    return (area[1] - area[0]) * (area[3] - area[2])
 
 
 @wp.kernel

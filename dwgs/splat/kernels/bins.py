@@ -8,7 +8,6 @@ lives on; sorted they lie tile by tile, and in each tile by depth, then by numbe
 import warp as wp
 
 from dwgs.splat.constants import TILE
-from dwgs.splat.kernels.project import record16
 
 wp.set_module_options({"enable_backward": False})
 
@@ -37,14 +36,4 @@ TOUCHED = f"""
             above + reach(y - extent_y, tiles[1]), above + reach(y + extent_y + {TILE}, tiles[1]));
     }};
 """
-
-
-@wp.func_native(f"{TOUCHED} return touched(i);")
-def tiles_touched(records: wp.array(dtype=record16), i: int, per_view: int, tiles: wp.vec2i) -> wp.vec4i:
-    """Columns and rows of tiles that a Gaussian reaches: first, one past the last; none if it is not drawn."""
-
-
-@wp.func
-def size_of(area: wp.vec4i) -> int:
-    """Number of tiles."""
-    return (area[1] - area[0]) * (area[3] - area[2])
+"""Which columns and rows of tiles Gaussian i reaches: first, one past the last; none if it is not drawn."""
