@@ -5,21 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-import warp as wp
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dwgs.optimize.kernels import adam as kernels
+from dwgs.optimize.adam import AdamGroup
 from dwgs.scene import Gaussians
 from dwgs.splat import Splats
-from dwgs.splat.parallel import even, launch
 
 MAX_OPACITY = 1 - 1e-5
 """Beyond it the logit saturates in float32."""
-EPSILON = 1e-15
-"""Adam's, where nothing shall be still."""
-THREADS, WORTH_A_THREAD = 2, 8
-"""How many share a step, and tasks that take longer than to hand them over."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +47,7 @@ class SplatParameters:
         mean_step_scale: [N] means move in units of this: to move as many pixels, a far Gaussian takes longer steps.
         bounds: [2, 3] lowest and highest place of a centre [m]; what has left it can find back.
         max_scales: [3] largest standard deviations [m].
+        device: Where they live; on a GPU a step can be captured in a graph.
     """
 
     def __init__(
@@ -62,11 +57,13 @@ class SplatParameters:
         mean_step_scale: Tensor | None = None,
         bounds: NDArray | None = None,
         max_scales: Sequence[float] | None = None,
+        device: torch.device | str = "cpu",
     ) -> None:
-        self.rates = rates
-        self._low, self._high = (None, None) if bounds is None else torch.from_numpy(np.float32(bounds)).unbind(0)
-        self._max_scales = None if max_scales is None else torch.tensor(max_scales)
-        self._steps = 0
+        self.rates, self._device = rates, torch.device(device)
+        limits = None if bounds is None else torch.from_numpy(np.float32(bounds)).to(device)
+        self._low, self._high = (None, None) if limits is None else limits.unbind(0)
+        self._max_scales = None if max_scales is None else torch.tensor(max_scales, device=device)
+        self._clock = torch.zeros(2, device=device)  # steps made, factor of the last: on a GPU a graph reads them there
         raw = self._raw_from(gaussians, mean_step_scale)
         self._install(raw, {name: [torch.zeros_like(raw[name]) for _ in range(2)] for name in _GROUPS})
 
@@ -88,19 +85,21 @@ class SplatParameters:
             self._splats = Splats(*(leaf.detach().requires_grad_() for leaf in leaves))
         return self._splats
 
-    def step(self, factor: float = 1.0) -> None:
-        """One step of Adam along the gradients, rates times ``factor``; the gradients are used up."""
+    def step(self, factor: float | Tensor = 1.0) -> None:
+        """One step of Adam along the gradients, rates times ``factor``; the gradients are used up.
+
+        In a captured graph a ``factor`` that is a tensor [] can change from replay to replay.
+        """
         if self._splats is None:
             return
-        self._steps += 1
-        beta1, beta2 = self.rates.betas
-        numbers = [beta1, beta2, 1 / (1 - beta1**self._steps), (1 - beta2**self._steps) ** -0.5]
+        self._clock[0].add_(1)
+        self._clock[1].fill_(factor)
         opacities = self._splats.opacities.detach()
         torch.mul(opacities, 1 - opacities, out=self._raw["opacity_derivative"])
-        for group in self._groups:
-            gradient = getattr(self._splats, group.name).grad
+        for name, group in self._groups.items():
+            gradient = getattr(self._splats, name).grad
             if gradient is not None and gradient.numel():
-                group.step(gradient.contiguous(), self.rates.stillness, factor, numbers)
+                group.step(gradient.contiguous(), self._clock, self.rates.betas, self.rates.stillness)
         self._splats = None
 
     def append(self, gaussians: Gaussians, mean_step_scale: Tensor | None = None) -> None:
@@ -132,10 +131,10 @@ class SplatParameters:
 
     def _raw_from(self, gaussians: Gaussians, mean_step_scale: Tensor | None) -> dict[str, Tensor]:
         means, quats, scales, opacities, sh = (
-            torch.from_numpy(x.copy())
+            torch.from_numpy(x.copy()).to(self._device)
             for x in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
         )
-        step_scales = torch.ones(len(means)) if mean_step_scale is None else mean_step_scale
+        step_scales = torch.ones_like(opacities) if mean_step_scale is None else mean_step_scale.to(self._device)
         return {
             "origins": means,
             "means": torch.zeros_like(means),
@@ -152,65 +151,19 @@ class SplatParameters:
         self._raw, self._moments = raw, moments
         self._splats: Splats | None = None
         derivatives = {"means": "mean_derivative", "scales": "scale_derivative", "opacities": "opacity_derivative"}
-        self._groups = [
-            _Group(
-                name,
+        self._groups = {
+            name: AdamGroup(
                 raw[name],
                 moments[name],
-                raw[derivatives[name]] if name in derivatives else torch.zeros(0),
+                raw.get(derivatives.get(name, "")),
                 (self.rates.sh_dc, self.rates.sh_rest) if name == "sh" else (getattr(self.rates, name), 0.0),
                 3 * raw["sh"].shape[1] if name == "sh" else 1,
             )
             for name in _GROUPS
-        ]
+        }
 
 
 _GROUPS = ("means", "quats", "scales", "opacities", "sh")
-
-
-class _Group:
-    """One tensor of parameters, as the kernel takes it step by step: everything but the gradient stays in place.
-
-    Of every ``period`` numbers the first three step at the first of ``rates``, the rest at the second.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        raw: Tensor,
-        moments: list[Tensor],
-        derivative: Tensor,
-        rates: tuple[float, float],
-        period: int,
-    ) -> None:
-        self.name = name
-        self._is_rest = (np.arange(period + kernels.LANES) % period >= 3).astype(np.float32)
-        self._base = np.where(self._is_rest > 0, rates[1], rates[0]).astype(np.float32)
-        self._rates, self._stills = self._base.copy(), np.zeros_like(self._base)
-        is_rest = self._is_rest[:period] > 0
-        by_place = moments[1].reshape(-1, period).double().sum(0).numpy()
-        classes = ~is_rest, is_rest
-        self._sizes = np.array([max(raw.numel() // period * place.sum(), 1) for place in classes])
-        self._mean_squares = np.array([by_place[place].sum() for place in classes]) / self._sizes
-        self._sums = np.zeros((-(-raw.numel() // kernels.SPAN), 2), np.float32)
-        self._out = wp.array(self._sums, dtype=wp.vec2, device="cpu", copy=False)
-        self._group = kernels.Group()
-        tensors = {"raw": raw, "moment": moments[0], "variance": moments[1], "derivative": derivative}
-        for key, tensor in tensors.items():
-            setattr(self._group, key, wp.from_torch(tensor.view(-1)))
-        for key, pattern in {"rates": self._rates, "stills": self._stills, "is_rest": self._is_rest}.items():
-            setattr(self._group, key, wp.array(pattern, dtype=float, device="cpu", copy=False))
-        self._group.period = period
-
-    def step(self, gradient: Tensor, stillness: float, factor: float, numbers: list[float]) -> None:
-        """Carry a gradient by the activated parameters to the parameters."""
-        usual, rest = np.maximum(stillness * np.sqrt(self._mean_squares), EPSILON)
-        np.multiply(self._base, factor, out=self._rates)
-        self._stills[:] = np.where(self._is_rest > 0, rest, usual)
-        inputs = [self._group, wp.from_torch(gradient.view(-1), return_ctype=True), *numbers, self._out]
-        bounds = even(len(self._sums), WORTH_A_THREAD, THREADS)
-        launch(kernels.adam, bounds, inputs, wp.get_device("cpu"), THREADS)
-        self._mean_squares = self._sums.sum(0, dtype=np.float64) / self._sizes
 
 
 class PoseParameters:

@@ -1,5 +1,6 @@
 """Gaussians x Camera -> Rendering, differentiable."""
 
+from dwgs.splat.capture import capture as capture
 from dwgs.splat.ops.composite import composite as composite
 from dwgs.splat.ops.project import project as project
 from dwgs.splat.render import render as render

@@ -47,9 +47,10 @@ def make_view() -> Callable[..., View]:
 
 @pytest.fixture
 def as_on_gpu(monkeypatch) -> None:
-    """Bin and composite as on a GPU; each lane is a warp of its own."""
+    """Bin and composite as on a GPU; each pixel is a block and a warp of its own."""
     monkeypatch.setitem(composite.WAYS, "cpu", composite.WAYS["cuda"])
-    monkeypatch.setattr(composite_cuda, "SLOTS", composite_cuda.BLOCK)
+    monkeypatch.setattr(composite_cuda, "PARTS", composite_cuda.BLOCK)
+    monkeypatch.setattr(composite_cuda, "FEATURE_PARTS", composite_cuda.BLOCK)
 
 
 @pytest.fixture

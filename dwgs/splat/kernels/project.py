@@ -289,6 +289,7 @@ _ADJOINT = f"""
     }}
 
     // the camera stands at -R^T t
+    if (v_viewmats.shape[1] == 0) return;
     float* v_pose = (float*)(v_viewmats.data + view * (long long)v_viewmats.shape[1] + task);
     for (int row = 0; row < 3; ++row) {{
         v_pose[4 * row + 3] = sum(v_t[row] - dot(R + 3 * row, v_position));
@@ -338,7 +339,10 @@ def project_adjoint(
     v_cloud: Cloud,
     v_viewmats: wp.array2d(dtype=wp.mat44),
 ):
-    """Gradients of a span of Gaussians per task, all of one object; each sums its share of the poses' gradients."""
+    """Gradients of a span of Gaussians per task, all of one object; each sums its share of the poses' gradients.
+
+    These only where there is room for them.
+    """
     task = first + wp.tid()
     span = spans[task]
     for view in range(lens.viewmats.shape[0]):

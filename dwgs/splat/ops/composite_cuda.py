@@ -1,5 +1,6 @@
 """Binning and compositing on a GPU."""
 
+from functools import partial
 from typing import Any
 
 import torch
@@ -10,7 +11,6 @@ from dwgs.splat.kernels import bin_cuda, composite_cuda
 from dwgs.splat.kernels.gather import gather, slot10
 from dwgs.splat.kernels.project import record16
 from dwgs.splat.ops.binned import Binned
-from dwgs.splat.ops.scratch import scratch
 
 
 def draw(canvas: Any, records: Tensor, image: Tensor, capacity: int | None, _threads: int) -> Binned:
@@ -34,15 +34,15 @@ def draw_adjoint(
 ) -> None:
     """Fill the gradients [V, T, 16] and [V, T, F] of the first T Gaussians of each view."""
     trainable, features = v_features.shape[1:]
-    count = composite_cuda.SLOTS * len(binned.gaussian_from_isect)
-    slots = wp.from_torch(scratch("slots", 10 * count, torch.float32, records.device).view(-1, 10), dtype=slot10)
-    feature_slots = wp.from_torch(scratch("feature_slots", features * count, torch.float32, records.device))
+    count, parts = len(binned.gaussian_from_isect), (composite_cuda.PARTS, composite_cuda.FEATURE_PARTS)
+    slots = wp.from_torch(records.new_zeros(count * parts[0], 10), dtype=slot10)
+    feature_slots = wp.from_torch(records.new_zeros(count * parts[1] * features))
     flat = wp.from_torch(image.view(-1))
     inputs = [canvas, binned.to_warp(), _records(records), flat, v_image, trainable, slots, feature_slots]
     _launch(composite_cuda.composite_adjoint, len(binned.ranges) * composite_cuda.BLOCK, inputs, records)
-    numbers = [composite_cuda.SLOTS, records.shape[1], trainable, features]
+    numbers = [*parts, records.shape[1], trainable, features]
     outputs = [_records(v_records), wp.from_torch(v_features.flatten(0, 1))]
-    inputs = [slots, feature_slots, wp.from_torch(binned.ends), *numbers, *outputs]
+    inputs = [slots, feature_slots, wp.from_torch(binned.ends), *numbers, _records(records), *outputs]
     _launch(gather, len(binned.ends), inputs, records)
 
 
@@ -52,28 +52,26 @@ def _bin(canvas: Any, records: Tensor, capacity: int | None) -> Binned:
     n, per_view = records.shape[0] * records.shape[1], records.shape[1]
     in_records = _records(records)
 
-    areas = wp.from_torch(scratch("areas", 4 * n, torch.int32, where).view(n, 4), dtype=wp.vec4i)
-    ends = torch.empty(n, dtype=torch.int32, device=where)
+    empty = partial(torch.empty, dtype=torch.int32, device=where)
+    areas, counts = wp.from_torch(empty(n, 4), dtype=wp.vec4i), empty(n)
+    _launch(bin_cuda.count, n, [in_records, per_view, tiles, areas, wp.from_torch(counts)], records)
+    ends = counts.cumsum(0, dtype=torch.int32)  # Warp's scan frees memory, which no graph allows
     in_ends = wp.from_torch(ends)
-    _launch(bin_cuda.count, n, [in_records, per_view, tiles, areas, in_ends], records)
-    wp.utils.array_scan(in_ends, in_ends, inclusive=True)
     m = capacity if capacity is not None else int(ends[-1]) if n else 0
 
     # the radix sort wants room for twice what it sorts
-    keys = scratch("keys", 2 * m, torch.int64, where)
+    keys = empty(2 * m, dtype=torch.int64)
     if capacity is not None:
         keys.fill_(count << bin_cuda.DEPTH_BITS)
-    in_keys = wp.from_torch(keys)
-    isects = scratch("isects", 2 * m, torch.int32, where)
-    in_isects = wp.from_torch(isects)
-    gaussian_from_isect = torch.empty(m, dtype=torch.int32, device=where)
+    isects, gaussian_from_isect = empty(2 * m), empty(m)
+    in_keys, in_isects = wp.from_torch(keys), wp.from_torch(isects)
     outputs = [in_keys, in_isects, wp.from_torch(gaussian_from_isect)]
     _launch(bin_cuda.emit, n, [in_records, areas, in_ends, tiles, *outputs], records)
     wp.utils.radix_sort_pairs(in_keys, in_isects, m, 0, bin_cuda.DEPTH_BITS + count.bit_length())
 
     ranges = torch.zeros(count, 2, dtype=torch.int32, device=where)
     _launch(bin_cuda.find_ranges, m, [in_keys, m, wp.from_torch(ranges, dtype=wp.vec2i)], records)
-    return Binned(ends, gaussian_from_isect, isects[:m].clone(), ranges)
+    return Binned(ends, gaussian_from_isect, isects[:m], ranges)
 
 
 def _launch(kernel: Any, items: int, inputs: list[Any], records: Tensor) -> None:

@@ -83,7 +83,8 @@ class _Project(torch.autograd.Function):
         object_from_task, spans = _tasks(objects.counts, _GAUSSIANS_PER_TASK[where.type], where)
         tasks = len(spans)
         v_tensors = [torch.empty_like(t) for t in tensors[:5]]
-        v_spans = torch.empty(len(records), tasks, 4, 4, device=where)
+        needs_pose = ctx.needs_input_grad[-1]
+        v_spans = torch.empty(len(records), tasks if needs_pose else 0, 4, 4, device=where)
         in_spans = wp.from_torch(spans, dtype=wp.vec2i, return_ctype=True)
         out_spans = wp.from_torch(v_spans, dtype=wp.mat44, return_ctype=True)
         v_records = _records(grad_outputs[0].contiguous())
@@ -91,7 +92,9 @@ class _Project(torch.autograd.Function):
         bounds = even(tasks, max(1, _WORTH_A_THREAD // _GAUSSIANS_PER_TASK[where.type]), ctx.threads)
         with torch_stream(where):
             launch(kernels.project_adjoint, bounds, inputs, wp.device_from_torch(where), ctx.threads)
-        if len(objects.counts) == 1:
+        if not needs_pose:
+            v_viewmats = None
+        elif len(objects.counts) == 1:
             v_viewmats = v_spans.sum(1, keepdim=True)
         else:
             v_viewmats = torch.zeros_like(tensors[5]).index_add_(1, object_from_task, v_spans)
