@@ -1,6 +1,8 @@
-"""Steps of Adam on one tensor of parameters, everything but the gradient staying in place."""
+"""Adam on several tensors of parameters: everything but the gradients stays in place."""
 
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -17,90 +19,108 @@ THREADS, WORTH_A_THREAD = 2, 8
 """How many share a step on a CPU, and tasks that take longer than to hand them over."""
 
 
-class AdamGroup:
-    """Of every ``period`` numbers the first three step at the first of ``rates``, the rest at the second.
+@dataclass(frozen=True)
+class Group:
+    """Parameters, what the optimiser knows of them, and how far they step."""
 
-    Args:
-        raw: The parameters.
-        moments: Running means of the gradient and of its square, shaped like them.
-        derivative: Of the activated by the raw parameters, shaped like them too; read at every step. None: 1.
-        rates: Step sizes.
-        period: What the rates repeat with.
-    """
+    raw: Tensor
+    moments: list[Tensor]
+    """Running means of the gradient and of its square."""
+    derivative: Tensor | None
+    """Of the activated by the raw parameters; read at every step. None: 1."""
+    rates: tuple[float, float]
+    """Of every ``period`` numbers the first three step at the first, the rest at the second."""
+    period: int
 
-    def __new__(cls, raw: Tensor, *_args: Any, **_kwargs: Any) -> "AdamGroup":
-        """On a CPU or on a GPU, wherever ``raw`` is."""
-        return super().__new__(_OnCuda if raw.is_cuda else _OnCpu)
 
-    def __init__(
-        self, raw: Tensor, moments: list[Tensor], derivative: Tensor | None, rates: tuple[float, float], period: int
-    ) -> None:
-        raise NotImplementedError
+class Adam(Protocol):
+    """Steps of groups by name."""
 
-    def step(self, gradient: Tensor, clock: Tensor, betas: tuple[float, float], stillness: float) -> None:
-        """Carry a gradient by the activated parameters to the parameters.
+    def step(self, gradients: Mapping[str, Tensor], clock: Tensor, betas: tuple[float, float], still: float) -> None:
+        """Carry gradients by the activated parameters to the parameters.
 
-        ``clock`` [2], where they are, holds the number of this step and a factor on the rates.
+        ``clock`` [4], where they are, counts the steps and holds a factor on the rates. Gradients below a share
+        ``still`` of their group's root mean square move their parameter in proportion.
         """
-        raise NotImplementedError
+        ...
 
 
-class _OnCpu(AdamGroup):
-    def __init__(
-        self, raw: Tensor, moments: list[Tensor], derivative: Tensor | None, rates: tuple[float, float], period: int
-    ) -> None:
+def adam(groups: Mapping[str, Group]) -> Adam:
+    """On a CPU or on a GPU, wherever they are."""
+    is_cuda = any(group.raw.is_cuda for group in groups.values())
+    return _OnCuda(groups) if is_cuda else _OnCpu(groups)
+
+
+class _OnCpu:
+    def __init__(self, groups: Mapping[str, Group]) -> None:
+        self._groups = {name: _CpuGroup(group) for name, group in groups.items()}
+
+    def step(self, gradients: Mapping[str, Tensor], clock: Tensor, betas: tuple[float, float], still: float) -> None:
+        clock[0] += 1
+        steps, factor, *_ = clock.tolist()
+        unbiased = 1 / (1 - betas[0] ** steps), (1 - betas[1] ** steps) ** -0.5
+        for name, gradient in gradients.items():
+            self._groups[name].step(gradient, factor, [*betas, *unbiased], still)
+
+
+class _CpuGroup:
+    def __init__(self, group: Group) -> None:
+        raw, period = group.raw, group.period
         self._is_rest = (np.arange(period + adam_cpu.LANES) % period >= 3).astype(np.float32)
-        self._base = np.where(self._is_rest > 0, rates[1], rates[0]).astype(np.float32)
+        self._base = np.where(self._is_rest > 0, group.rates[1], group.rates[0]).astype(np.float32)
         self._rates, self._stills = self._base.copy(), np.zeros_like(self._base)
         is_rest = self._is_rest[:period] > 0
-        by_place = moments[1].reshape(-1, period).double().sum(0).numpy()
+        by_place = group.moments[1].reshape(-1, period).double().sum(0).numpy()
         classes = ~is_rest, is_rest
         self._sizes = np.array([max(raw.numel() // period * place.sum(), 1) for place in classes])
         self._mean_squares = np.array([by_place[place].sum() for place in classes]) / self._sizes
         self._sums = np.zeros((-(-raw.numel() // adam_cpu.SPAN), 2), np.float32)
         self._out = wp.array(self._sums, dtype=wp.vec2, device="cpu", copy=False)
-        self._group = _fill(adam_cpu.Group(), raw, moments, derivative)
+        self._group = _fill(adam_cpu.Group(), group)
         for key, pattern in {"rates": self._rates, "stills": self._stills, "is_rest": self._is_rest}.items():
             setattr(self._group, key, wp.array(pattern, dtype=float, device="cpu", copy=False))
-        self._group.period = period
 
-    def step(self, gradient: Tensor, clock: Tensor, betas: tuple[float, float], stillness: float) -> None:
-        steps, factor = clock.tolist()
-        usual, rest = np.maximum(stillness * np.sqrt(self._mean_squares), EPSILON)
+    def step(self, gradient: Tensor, factor: float, numbers: list[float], still: float) -> None:
+        usual, rest = np.maximum(still * np.sqrt(self._mean_squares), EPSILON)
         np.multiply(self._base, factor, out=self._rates)
         self._stills[:] = np.where(self._is_rest > 0, rest, usual)
-        unbiased = 1 / (1 - betas[0] ** steps), (1 - betas[1] ** steps) ** -0.5
-        gradients = wp.from_torch(gradient.view(-1), return_ctype=True)
+        inputs = [self._group, wp.from_torch(gradient.view(-1), return_ctype=True), *numbers, self._out]
         bounds = even(len(self._sums), WORTH_A_THREAD, THREADS)
-        inputs = [self._group, gradients, *betas, *unbiased, self._out]
         launch(adam_cpu.adam, bounds, inputs, wp.get_device("cpu"), THREADS)
         self._mean_squares = self._sums.sum(0, dtype=np.float64) / self._sizes
 
 
-class _OnCuda(AdamGroup):
-    def __init__(
-        self, raw: Tensor, moments: list[Tensor], derivative: Tensor | None, rates: tuple[float, float], period: int
-    ) -> None:
-        self._variance = moments[1].view(-1, period)
-        self._group = _fill(adam_cuda.Group(), raw, moments, derivative)
-        self._group.rate, self._group.rest_rate = rates
-        self._group.period = period
-        self._stills = torch.full((2,), EPSILON, device=raw.device)
+class _OnCuda:
+    def __init__(self, groups: Mapping[str, Group]) -> None:
+        self._variances = [group.moments[1].view(-1, group.period) for group in groups.values()]
+        self._groups = {name: _fill(adam_cuda.Group(), group) for name, group in groups.items()}
+        for name, group in groups.items():
+            self._groups[name].rate, self._groups[name].rest_rate = group.rates
+        where = self._variances[0].device
+        self._stills = torch.full((len(groups), 2), EPSILON, device=where)
+        self._nothing = wp.zeros(0, dtype=float, device=wp.device_from_torch(where))
 
-    def step(self, gradient: Tensor, clock: Tensor, betas: tuple[float, float], stillness: float) -> None:
-        if stillness:
-            for still, variances in zip(self._stills, (self._variance[:, :3], self._variance[:, 3:]), strict=True):
-                if variances.numel():
-                    still.copy_((stillness * variances.mean().sqrt()).clamp_min(EPSILON))
-        arrays = [wp.from_torch(tensor) for tensor in (gradient.view(-1), clock, self._stills)]
-        with torch_stream(gradient.device):
-            device = wp.device_from_torch(gradient.device)
-            wp.launch(adam_cuda.adam, gradient.numel(), [self._group, *arrays, *betas], device=device)
+    def step(self, gradients: Mapping[str, Tensor], clock: Tensor, betas: tuple[float, float], still: float) -> None:
+        if still:
+            for stills, variance in zip(self._stills, self._variances, strict=True):
+                for k, part in enumerate((variance[:, :3], variance[:, 3:])):
+                    if part.numel():
+                        stills[k].copy_((still * part.mean().sqrt()).clamp_min(EPSILON))
+        for name, group in self._groups.items():
+            group.gradient = wp.from_torch(gradients[name].view(-1)) if name in gradients else self._nothing
+        count = sum(gradient.numel() for gradient in gradients.values())
+        in_clock, device = wp.from_torch(clock), wp.device_from_torch(clock.device)
+        inputs = [*self._groups.values(), in_clock, wp.from_torch(self._stills), *betas]
+        with torch_stream(clock.device):
+            wp.launch(adam_cuda.tick, 1, [in_clock, *betas], device=device)
+            wp.launch(adam_cuda.adam, count, inputs, device=device)
 
 
-def _fill(group: Any, raw: Tensor, moments: list[Tensor], derivative: Tensor | None) -> Any:
-    """The tensors, for either kernel."""
-    derivative = raw.new_zeros(0) if derivative is None else derivative
-    for key, tensor in {"raw": raw, "moment": moments[0], "variance": moments[1], "derivative": derivative}.items():
-        setattr(group, key, wp.from_torch(tensor.view(-1)))
-    return group
+def _fill(struct: Any, group: Group) -> Any:
+    """What both kernels take."""
+    derivative = group.raw.new_zeros(0) if group.derivative is None else group.derivative
+    tensors = {"raw": group.raw, "moment": group.moments[0], "variance": group.moments[1], "derivative": derivative}
+    for key, tensor in tensors.items():
+        setattr(struct, key, wp.from_torch(tensor.view(-1)))
+    struct.period = group.period
+    return struct

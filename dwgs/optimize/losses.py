@@ -1,7 +1,7 @@
 """Photometric losses: images [H, W, 3], weights [H, W], divided by the sum of the weights.
 
-A gradient flows to the first image alone. Float32 on a CPU takes one pass forward and one back; anything else takes
-torch's many.
+A gradient flows to the first image alone. Float32 takes one pass forward and one back, `dssim` on a CPU only;
+anything else takes torch's many.
 """
 
 from typing import Any
@@ -12,7 +12,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import avg_pool2d
 
-from dwgs.optimize.kernels import photometric as kernels
+from dwgs.optimize.kernels import photometric_cpu, photometric_cuda
+from dwgs.splat.ops.stream import torch_stream
 
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 """Keep the quotients of SSIM finite where an image is black or flat."""
@@ -34,7 +35,7 @@ def dssim(rgb: Tensor, target: Tensor, weight: Tensor) -> Tensor:
     A fit evaluates it at every step: flat windows on a grid cost a tenth of Gaussian ones around every pixel
     and teach the same. Pixels of no weight are taken from the target, so windows never see them.
     """
-    if _is_quick(rgb):
+    if rgb.dtype == torch.float32 and not rgb.is_cuda:
         blocks = _Moments.apply(rgb, target, weight)
     else:
         x, y = torch.where(weight[..., None] > 0, rgb, target).permute(2, 0, 1), target.permute(2, 0, 1)
@@ -49,43 +50,43 @@ def dssim(rgb: Tensor, target: Tensor, weight: Tensor) -> Tensor:
 
 
 def _weighted_error(rgb: Tensor, target: Tensor, weight: Tensor, squared: bool) -> Tensor:
-    if _is_quick(rgb):
+    if rgb.dtype == torch.float32:
         return _Error.apply(rgb, target, weight, squared)
     error = (rgb - target).square() if squared else (rgb - target).abs()
     return (error.sum(-1) * weight).sum() / (3 * weight.sum().clamp_min(1))
 
 
-def _is_quick(rgb: Tensor) -> bool:
-    return rgb.dtype == torch.float32 and rgb.device.type == "cpu"
-
-
 class _Error(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rgb: Tensor, target: Tensor, weight: Tensor, squared: bool) -> Tensor:
-        height, width = weight.shape
-        v_rgb, sums = torch.empty(3, height, width), torch.empty(height, 2)
-        outputs = [wp.from_torch(v_rgb, return_ctype=True), wp.from_torch(sums, dtype=wp.vec2, return_ctype=True)]
-        _run(kernels.error, height, [*_images(rgb, target, weight), int(squared), *outputs])
-        total, total_weight = sums.sum(0).tolist()
-        ctx.save_for_backward(v_rgb)
-        ctx.share = 1 / (3 * max(total_weight, 1.0))
-        return rgb.new_tensor(total * ctx.share)
+        v_rgb, sums = rgb.new_empty(3, *weight.shape), rgb.new_empty(len(weight), 2)
+        inputs = [*_images(rgb, target, weight), int(squared), wp.from_torch(v_rgb), wp.from_torch(sums, dtype=wp.vec2)]
+        if rgb.is_cuda:
+            block, device = photometric_cuda.BLOCK, wp.device_from_torch(rgb.device)
+            with torch_stream(rgb.device):
+                wp.launch(photometric_cuda.error, block * len(sums), inputs, device=device, block_dim=block)
+        else:
+            _run(photometric_cpu.error, len(sums), inputs)
+        total, total_weight = sums.sum(0)
+        share = 1 / (3 * total_weight.clamp_min(1.0))
+        ctx.save_for_backward(v_rgb, share)
+        return total * share
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grad_outputs: Tensor):  # pyright: ignore[reportIncompatibleMethodOverride]
-        (v_rgb,) = ctx.saved_tensors
-        return (v_rgb * (float(grad_outputs[0]) * ctx.share)).movedim(0, -1), None, None, None
+        v_rgb, share = ctx.saved_tensors
+        return (v_rgb * (grad_outputs[0] * share)).movedim(0, -1), None, None, None
 
 
 class _Moments(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rgb: Tensor, target: Tensor, weight: Tensor) -> Tensor:
-        height, width = (-(-size // kernels.BLOCK) for size in weight.shape)
-        moments = torch.empty(3 * kernels.MOMENTS, height, width)
+        height, width = (-(-size // photometric_cpu.BLOCK) for size in weight.shape)
+        moments = torch.empty(3 * photometric_cpu.MOMENTS, height, width)
         ctx.inputs, ctx.height = _images(rgb, target, weight), height
         ctx.save_for_backward(rgb, target, weight)
-        _run(kernels.moments, height, [*ctx.inputs, wp.from_torch(moments, return_ctype=True)])
+        _run(photometric_cpu.moments, height, [*ctx.inputs, wp.from_torch(moments, return_ctype=True)])
         return moments
 
     @staticmethod
@@ -94,7 +95,11 @@ class _Moments(torch.autograd.Function):
         _, _, weight = ctx.saved_tensors
         v_rgb = torch.empty(3, *weight.shape)
         v_moments = wp.from_torch(grad_outputs[0].contiguous(), return_ctype=True)
-        _run(kernels.moments_adjoint, ctx.height, [*ctx.inputs, v_moments, wp.from_torch(v_rgb, return_ctype=True)])
+        _run(
+            photometric_cpu.moments_adjoint,
+            ctx.height,
+            [*ctx.inputs, v_moments, wp.from_torch(v_rgb, return_ctype=True)],
+        )
         return v_rgb.movedim(0, -1), None, None
 
 
@@ -111,7 +116,7 @@ def _images(rgb: Tensor, target: Tensor, weight: Tensor) -> list[Any]:
 
 def _block_means(planes: Tensor) -> Tensor:
     """Means [C, H', W'] of planes [C, H, W] over blocks; those at the rim are cut."""
-    return avg_pool2d(planes[None], kernels.BLOCK, ceil_mode=True)[0]
+    return avg_pool2d(planes[None], photometric_cpu.BLOCK, ceil_mode=True)[0]
 
 
 def _window_means(blocks: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dwgs.optimize.adam import AdamGroup
+from dwgs.optimize.adam import Group, adam
 from dwgs.scene import Gaussians
 from dwgs.splat import Splats
 
@@ -63,7 +63,7 @@ class SplatParameters:
         limits = None if bounds is None else torch.from_numpy(np.float32(bounds)).to(device)
         self._low, self._high = (None, None) if limits is None else limits.unbind(0)
         self._max_scales = None if max_scales is None else torch.tensor(max_scales, device=device)
-        self._clock = torch.zeros(2, device=device)  # steps made, factor of the last: on a GPU a graph reads them there
+        self._clock = torch.zeros(4, device=device)  # see `Adam`: on a GPU, where a graph reads it
         raw = self._raw_from(gaussians, mean_step_scale)
         self._install(raw, {name: [torch.zeros_like(raw[name]) for _ in range(2)] for name in _GROUPS})
 
@@ -92,14 +92,12 @@ class SplatParameters:
         """
         if self._splats is None:
             return
-        self._clock[0].add_(1)
         self._clock[1].fill_(factor)
         opacities = self._splats.opacities.detach()
         torch.mul(opacities, 1 - opacities, out=self._raw["opacity_derivative"])
-        for name, group in self._groups.items():
-            gradient = getattr(self._splats, name).grad
-            if gradient is not None and gradient.numel():
-                group.step(gradient.contiguous(), self._clock, self.rates.betas, self.rates.stillness)
+        leaves = {name: getattr(self._splats, name) for name in _GROUPS}
+        gradients = {name: leaf.grad.contiguous() for name, leaf in leaves.items() if leaf.grad is not None}
+        self._adam.step(gradients, self._clock, self.rates.betas, self.rates.stillness)
         self._splats = None
 
     def append(self, gaussians: Gaussians, mean_step_scale: Tensor | None = None) -> None:
@@ -151,8 +149,8 @@ class SplatParameters:
         self._raw, self._moments = raw, moments
         self._splats: Splats | None = None
         derivatives = {"means": "mean_derivative", "scales": "scale_derivative", "opacities": "opacity_derivative"}
-        self._groups = {
-            name: AdamGroup(
+        groups = {
+            name: Group(
                 raw[name],
                 moments[name],
                 raw.get(derivatives.get(name, "")),
@@ -161,6 +159,7 @@ class SplatParameters:
             )
             for name in _GROUPS
         }
+        self._adam = adam(groups)
 
 
 _GROUPS = ("means", "quats", "scales", "opacities", "sh")

@@ -1,5 +1,5 @@
 # type: ignore  (Warp's language, which is not Python's)
-"""Adam (Kingma and Ba 2015) in one pass over memory, on a GPU: one number per thread."""
+"""Adam (Kingma and Ba 2015) in one pass over memory, on a GPU: one launch for all groups, one number per thread."""
 
 import warp as wp
 
@@ -20,27 +20,19 @@ class Group:
     """Running mean of its square."""
     derivative: wp.array(dtype=float)
     """Of the activated by the raw parameter; empty: 1."""
+    gradient: wp.array(dtype=float)
+    """By the activated parameter; empty: nothing moves."""
     rate: float
     rest_rate: float
     period: int
 
 
-@wp.kernel
-def adam(
-    group: Group,
-    gradient: wp.array(dtype=float),
-    clock: wp.array(dtype=float),
-    stills: wp.array(dtype=float),
-    beta1: float,
-    beta2: float,
+@wp.func
+def advance(
+    group: Group, i: int, clock: wp.array(dtype=float), stills: wp.array(dtype=float), beta1: float, beta2: float
 ):
-    """One step. What changes from step to step is read from memory, so that a captured one can be replayed.
-
-    ``clock`` holds the number of the step and a factor on the rates, ``stills`` Adam's epsilon for the first three
-    of a period and for the rest.
-    """
-    i = wp.tid()
-    g = gradient[i]
+    """One step of one number."""
+    g = group.gradient[i]
     if group.derivative.shape[0] > 0:
         g *= group.derivative[i]
     m = beta1 * group.moment[i] + (1.0 - beta1) * g
@@ -52,7 +44,46 @@ def adam(
     if i % group.period >= 3:
         rate = group.rest_rate
         still = stills[1]
-    steps = clock[0]
-    unbiased = m / (1.0 - wp.pow(beta1, steps))
-    scale = wp.sqrt(v / (1.0 - wp.pow(beta2, steps)))
-    group.raw[i] = group.raw[i] - rate * clock[1] * unbiased / (scale + still)
+    group.raw[i] = group.raw[i] - rate * clock[1] * clock[2] * m / (wp.sqrt(v) * clock[3] + still)
+
+
+@wp.kernel
+def adam(
+    means: Group,
+    quats: Group,
+    scales: Group,
+    opacities: Group,
+    sh: Group,
+    clock: wp.array(dtype=float),
+    stills: wp.array2d(dtype=float),
+    beta1: float,
+    beta2: float,
+):
+    """One step. What changes from step to step is read from memory, so that a captured one can be replayed.
+
+    ``clock`` is as `tick` left it, ``stills`` holds by group Adam's epsilon for the first three of a period and for
+    the rest.
+    """
+    i = wp.tid()
+    if i < means.gradient.shape[0]:
+        advance(means, i, clock, stills[0], beta1, beta2)
+    i -= means.gradient.shape[0]
+    if i >= 0 and i < quats.gradient.shape[0]:
+        advance(quats, i, clock, stills[1], beta1, beta2)
+    i -= quats.gradient.shape[0]
+    if i >= 0 and i < scales.gradient.shape[0]:
+        advance(scales, i, clock, stills[2], beta1, beta2)
+    i -= scales.gradient.shape[0]
+    if i >= 0 and i < opacities.gradient.shape[0]:
+        advance(opacities, i, clock, stills[3], beta1, beta2)
+    i -= opacities.gradient.shape[0]
+    if i >= 0 and i < sh.gradient.shape[0]:
+        advance(sh, i, clock, stills[4], beta1, beta2)
+
+
+@wp.kernel
+def tick(clock: wp.array(dtype=float), beta1: float, beta2: float):
+    """Count a step: how many there were, a factor on the rates, and what undoes the moments' start at zero."""
+    clock[0] = clock[0] + 1.0
+    clock[2] = 1.0 / (1.0 - wp.pow(beta1, clock[0]))
+    clock[3] = 1.0 / wp.sqrt(1.0 - wp.pow(beta2, clock[0]))

@@ -4,7 +4,8 @@
 A block carries the Gaussians of its tile into shared memory, batch by batch, the next on its way while one is drawn.
 Each lane asks of one Gaussian whether it reaches the warp's pixels, and the warp draws those that do. In the adjoint
 a warp sums its pixels' gradients by halves, so that twelve shuffles do for ten numbers, and the block sums those of
-its warps in order: no atomics, and the same bytes every time.
+its warps in order: no atomics, and the same bytes every time. It walks a crowded tile in segments, a block each, from
+states that the first pass kept of its pixels.
 
 The same text runs on a CPU, every pixel being a block, a warp and a lane by itself: slow, but a witness for
 everything but the exchange between threads. Launched over tiles x `BLOCK` threads, ``block_dim=BLOCK``.
@@ -29,17 +30,26 @@ WARPS = BLOCK // 32
 PARTS, FEATURE_PARTS = 1, WARPS
 """Gradients of records and of features per intersection."""
 BATCH = 64
-"""Gaussians in shared memory at once: three threads load each, and 32 lanes at a time ask for them."""
-AT_ONCE = 4
-"""Gaussians a warp draws at once, so that one need not wait for the numbers of the other."""
+"""Gaussians in shared memory at once in the adjoint; `BLOCK` in the first pass. 32 lanes at a time ask for them."""
+SEGMENT = 128
+"""Intersections of a tile after which the state of its pixels is kept, so that the adjoint can begin there."""
 SLACK = 0.01
 """On the logarithm of alpha: no rounding hides a Gaussian from the pixels it reaches."""
 
-_PRELUDE = f"""
+
+def _prelude(batch: int) -> str:
+    """What a thread draws, and how it gets at the Gaussians."""
+    loaders = 3 if 3 * batch <= BLOCK else 1  # of each Gaussian
+    rows = 3 // loaders
+    return f"""
     #if defined(__CUDA_ARCH__)
     const int lanes = 32, lane = threadIdx.x % 32, warp = threadIdx.x / 32;
     auto ballot = [](bool x) -> unsigned {{ return __ballot_sync(~0u, x); }};
-    auto exponential = [](float x) -> float {{ return __expf(x); }};
+    auto exponential = [](float x) -> float {{
+        float y;
+        asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x * 1.44269504f));
+        return y;
+    }};
     auto logarithm = [](float x) -> float {{ return __logf(x); }};
     auto over = [](float x, float y) -> float {{ return __fdividef(x, y); }};
     #else
@@ -51,7 +61,7 @@ _PRELUDE = f"""
     #endif
 
     // a warp has 8x4 pixels
-    const int tile = thread / {BLOCK}, inside = thread % {BLOCK};
+    const int inside = thread % {BLOCK};
     const int tiles = canvas.tiles_across * canvas.tiles_down, view = tile / tiles;
     const int left = (tile - view * tiles) % canvas.tiles_across * 16 + inside / 32 % 2 * 8;
     const int top = (tile - view * tiles) / canvas.tiles_across * 16 + inside / 64 * 4;
@@ -75,33 +85,34 @@ _PRELUDE = f"""
 
     // x, y, conic | conic, opacity, colour | colour, depth
     struct alignas(16) Row {{ float a, b, c, d; }};
-    const wp::vec_t<2, int> span = bins.ranges.data[tile];
-    const int first = span[0], end = span[1];
     #if defined(__CUDA_ARCH__)
-    __shared__ Row batch[{BATCH}][3];
-    __shared__ int isects[{BATCH}], gaussians[{BATCH}];
-    const int loaded = threadIdx.x / 3, third = threadIdx.x % 3;
+    __shared__ Row batch[{batch}][3];
+    __shared__ int isects[{batch}], gaussians[{batch}];
+    const int loaded = threadIdx.x / {loaders}, row_loaded = threadIdx.x % {loaders} * {rows};
     int next_isect = 0, next_gaussian = 0, own_isect = 0, own_gaussian = 0;
-    Row own = {{}};
+    Row own[{rows}] = {{}};
     auto ask = [&](int begin) -> void {{  // for whom to load
-        if (loaded >= {BATCH} || begin + loaded >= end) return;
+        if (loaded >= {batch} || begin + loaded >= end) return;
         next_isect = bins.isect_from_sorted.data[begin + loaded];
         next_gaussian = bins.gaussian_from_isect.data[next_isect];
     }};
     auto fetch = [&](int begin) -> void {{
         own_isect = next_isect, own_gaussian = next_gaussian;
-        if (loaded < {BATCH} && begin + loaded < end) own = ((const Row*)(records.data + own_gaussian))[third];
+        if (loaded >= {batch} || begin + loaded >= end) return;
+        for (int i = 0; i < {rows}; ++i) own[i] = ((const Row*)(records.data + own_gaussian))[row_loaded + i];
     }};
     ask(first);
     fetch(first);
-    ask(first + {BATCH});
+    ask(first + {batch});
     auto load = [&](int begin) -> void {{
         __syncthreads();  // nobody reads the last batch any more
-        if (loaded < {BATCH}) batch[loaded][third] = own;
-        if (loaded < {BATCH} && third == 0) isects[loaded] = own_isect, gaussians[loaded] = own_gaussian;
+        if (loaded < {batch}) {{
+            for (int i = 0; i < {rows}; ++i) batch[loaded][row_loaded + i] = own[i];
+            isects[loaded] = own_isect, gaussians[loaded] = own_gaussian;
+        }}
         __syncthreads();
-        fetch(begin + {BATCH});
-        ask(begin + 2 * {BATCH});
+        fetch(begin + {batch});
+        ask(begin + 2 * {batch});
     }};
     auto all_threads = [](bool x) -> bool {{ return __syncthreads_and(x); }};
     auto isect_of = [&](int k) -> int {{ return isects[k]; }};
@@ -137,58 +148,66 @@ _PRELUDE = f"""
         hits &= hits - 1;
         return k;
     }};
-    auto draw_next = [&](unsigned& hits, int some, int* k, float* raw) -> int {{  // alphas of so many; of the rest 0
-        int drawn = 0;
-        #pragma unroll
-        for (int i = 0; i < {AT_ONCE}; ++i) {{
-            const bool is_one = hits;
-            drawn += is_one;
-            k[i] = is_one ? some + next(hits) : some;
-            const Row p = row_of(k[i], 0), q = row_of(k[i], 1);
-            raw[i] = is_one ? q.b * exponential(power_of(p, q, x - p.a, y - p.b)) : 0.0f;
-        }}
-        return drawn;
+    auto alpha_of = [&](const Row& p, const Row& q) -> float {{  // before it is clamped
+        return q.b * exponential(power_of(p, q, x - p.a, y - p.b));
     }};
     auto is_kept = [&](float raw) -> bool {{
         return raw >= {constants.MIN_ALPHA}f && T >= {constants.STOP_TRANSMITTANCE}f;
     }};
     auto clamped = [](float raw) -> float {{ return raw < {constants.MAX_ALPHA}f ? raw : {constants.MAX_ALPHA}f; }};
+
+    // what is kept of a pixel: transmittance, r, g, b, depth, features
+    auto kept_of = [&](int segment, int k) -> float& {{
+        return states.data[(segment * (5ll + features) + k) * {BLOCK} + inside];
+    }};
+    auto segment_of = [&](int k) -> int {{  // that begins with intersection k of the tile: each has its own
+        return span[0] / {SEGMENT} + tile + (k - span[0]) / {SEGMENT};
+    }};
 """
 
 
 _COMPOSITE = f"""
-{_PRELUDE}
+    const int tile = thread / {BLOCK};
+    const wp::vec_t<2, int> span = bins.ranges.data[tile];
+    const int first = span[0], end = span[1];
+{_prelude(BLOCK)}
     float total[5] = {{}};
     if (layered) for (int c = 0; c < 4; ++c) total[c] = front[c * plane];
     total[4] = 1.0f - T;
     #pragma unroll 1
     for (int f = 0; f < features; ++f) shown[(5 + f) * plane] = 0.0f;
-    for (int begin = first; begin < end; begin += {BATCH}) {{
+    for (int begin = first; begin < end; begin += {BLOCK}) {{
         if (all_threads(T < {constants.STOP_TRANSMITTANCE}f)) break;
         load(begin);
-        const int count = end - begin < {BATCH} ? end - begin : {BATCH};
+        const int count = end - begin < {BLOCK} ? end - begin : {BLOCK};
         for (int some = 0; some < count; some += lanes) {{
-            if (!ballot(T >= {constants.STOP_TRANSMITTANCE}f)) break;
+            if (states.shape[0] && some % {SEGMENT} == 0) {{
+                const int segment = segment_of(begin + some);
+                if (inside == 0) tile_from_segment.data[segment] = tile;
+                kept_of(segment, 0) = T;
+                for (int c = 0; c < 4; ++c) kept_of(segment, 1 + c) = total[c];
+                for (int f = 0; f < features; ++f) kept_of(segment, 5 + f) = shown[(5 + f) * plane];
+            }}
+            if (!ballot(T >= {constants.STOP_TRANSMITTANCE}f)) continue;
             unsigned hits = ballot(some + lane < count && reaches(some + lane));
-            while (hits) {{
-                int k[{AT_ONCE}];
-                float raw[{AT_ONCE}], w[{AT_ONCE}];
-                draw_next(hits, some, k, raw);
-                #pragma unroll
-                for (int i = 0; i < {AT_ONCE}; ++i) {{
-                    w[i] = is_kept(raw[i]) ? T * clamped(raw[i]) : 0.0f;
-                    T -= w[i];
-                    const Row q = row_of(k[i], 1), r = row_of(k[i], 2);
-                    total[0] += w[i] * q.c;
-                    total[1] += w[i] * q.d;
-                    total[2] += w[i] * r.a;
-                    total[3] += w[i] * r.b;
-                    total[4] += w[i];
-                }}
+            if (!hits) continue;
+            int k = some + next(hits);
+            Row p = row_of(k, 0), q = row_of(k, 1), r = row_of(k, 2);
+            for (bool is_last = false; !is_last;) {{
+                const int drawn = k;
+                const float raw = alpha_of(p, q), red = q.c, green = q.d, blue = r.a, depth = r.b;
+                is_last = !hits;
+                if (hits) k = some + next(hits);  // on its way while this one is drawn
+                p = row_of(k, 0), q = row_of(k, 1), r = row_of(k, 2);
+                const float w = is_kept(raw) ? T * clamped(raw) : 0.0f;
+                T -= w;
+                total[0] += w * red;
+                total[1] += w * green;
+                total[2] += w * blue;
+                total[3] += w * depth;
+                total[4] += w;
                 #pragma unroll 1
-                for (int f = 0; f < features; ++f)
-                    for (int i = 0; i < {AT_ONCE}; ++i)
-                        shown[(5 + f) * plane] += w[i] * feature_of(gaussian_of(k[i]), f);
+                for (int f = 0; f < features; ++f) shown[(5 + f) * plane] += w * feature_of(gaussian_of(drawn), f);
             }}
         }}
     }}
@@ -196,7 +215,12 @@ _COMPOSITE = f"""
 """
 
 _ADJOINT = f"""
-{_PRELUDE}
+    const int segment = thread / {BLOCK}, tile = tile_from_segment.data[segment];
+    if (tile < 0) return;
+    const wp::vec_t<2, int> span = bins.ranges.data[tile];
+    const int first = span[0] + (segment - span[0] / {SEGMENT} - tile) * {SEGMENT};
+    const int end = span[1] - first < {SEGMENT} ? span[1] : first + {SEGMENT};
+{_prelude(BATCH)}
     #if defined(__CUDA_ARCH__)
     __shared__ float parts[{WARPS}][{BATCH}][10];
     __shared__ unsigned said[{WARPS}][{BATCH} / 32];
@@ -222,10 +246,11 @@ _ADJOINT = f"""
     for (int c = 0; c < 3; ++c) v[c] = v_of(v_image.rgb, c);
     v[3] = v_of(v_image.depth, 0);
     v[4] = v_of(v_image.alpha, 0);
-    for (int c = 0; c < 5; ++c)
-        rest += v[c] * (shown[c * plane] - (!layered ? 0.0f : c < 4 ? front[c * plane] : 1.0f - T));
+    T = kept_of(segment, 0);
+    for (int c = 0; c < 5; ++c) rest += v[c] * (shown[c * plane] - (c < 4 ? kept_of(segment, 1 + c) : 1.0f - T));
     #pragma unroll 1
-    for (int f = 0; f < features; ++f) rest += v_of(v_image.features, f) * shown[(5 + f) * plane];
+    for (int f = 0; f < features; ++f)
+        rest += v_of(v_image.features, f) * (shown[(5 + f) * plane] - kept_of(segment, 5 + f));
 
     for (int begin = first; begin < end; begin += {BATCH}) {{
         if (all_threads(T < {constants.STOP_TRANSMITTANCE}f)) break;
@@ -236,64 +261,46 @@ _ADJOINT = f"""
             if (!ballot(T >= {constants.STOP_TRANSMITTANCE}f)) hits = 0;
             unsigned spoke = 0;
             while (hits) {{
-                int k[{AT_ONCE}];
-                float raw[{AT_ONCE}], gain[{AT_ONCE}], w[{AT_ONCE}], v_power[{AT_ONCE}];
-                const int drawn = draw_next(hits, some, k, raw);
-                #pragma unroll
-                for (int i = 0; i < {AT_ONCE}; ++i) {{
-                    const Row q = row_of(k[i], 1), r = row_of(k[i], 2);
-                    gain[i] = v[0] * q.c + v[1] * q.d + v[2] * r.a + v[3] * r.b + v[4];
-                }}
+                const int k = some + next(hits);
+                const Row p = row_of(k, 0), q = row_of(k, 1), r = row_of(k, 2);
+                const float raw = alpha_of(p, q), alpha = clamped(raw), w = is_kept(raw) ? T * alpha : 0.0f;
+                if (!ballot(w > 0.0f)) continue;
+                float gain = v[0] * q.c + v[1] * q.d + v[2] * r.a + v[3] * r.b + v[4];
                 #pragma unroll 1
                 for (int f = 0; f < features; ++f)
-                    for (int i = 0; i < {AT_ONCE}; ++i)
-                        gain[i] += v_of(v_image.features, f) * feature_of(gaussian_of(k[i]), f);
-                #pragma unroll
-                for (int i = 0; i < {AT_ONCE}; ++i) {{
-                    const float alpha = clamped(raw[i]);
-                    const bool is_free = is_kept(raw[i]) && raw[i] < {constants.MAX_ALPHA}f;  // else no gradient
-                    w[i] = is_kept(raw[i]) ? T * alpha : 0.0f;
-                    rest -= w[i] * gain[i];
-                    T -= w[i];
-                    v_power[i] = is_free ? w[i] * gain[i] - over(rest * alpha, 1.0f - alpha) : 0.0f;
-                }}
-                #pragma unroll
-                for (int i = 0; i < {AT_ONCE}; ++i) {{
-                    const Row p = row_of(k[i], 0);
-                    const float dx = x - p.a, dy = y - p.b, v_x = v_power[i] * dx, v_y = v_power[i] * dy;
-                    const float moments[10] = {{
-                        v_power[i], v_x, v_y, v_x * dx, v_x * dy, v_y * dy, w[i] * v[0], w[i] * v[1], w[i] * v[2],
-                        w[i] * v[3],
-                    }};
-                    const bool is_taught = i < drawn && gaussian_of(k[i]) - before < trainable;
+                    gain += v_of(v_image.features, f) * feature_of(gaussian_of(k), f);
+                rest -= w * gain;
+                T -= w;
+                if (gaussian_of(k) - before >= trainable) continue;
+                // the clamp passes no gradient
+                const bool is_free = w > 0.0f && raw < {constants.MAX_ALPHA}f;
+                const float v_power = is_free ? w * gain - over(rest * alpha, 1.0f - alpha) : 0.0f;
+                const float dx = x - p.a, dy = y - p.b, v_x = v_power * dx, v_y = v_power * dy;
+                const float moments[10] = {{
+                    v_power, v_x, v_y, v_x * dx, v_x * dy, v_y * dy, w * v[0], w * v[1], w * v[2], w * v[3],
+                }};
+                #if defined(__CUDA_ARCH__)
+                float fives[5], threes[3], twos[2], ones[1], sum[1];
+                halve(moments, 10, fives, 5, 16);
+                halve(fives, 5, threes, 3, 8);
+                halve(threes, 3, twos, 2, 4);
+                halve(twos, 2, ones, 1, 2);
+                halve(ones, 1, sum, 1, 1);
+                if (has_number) parts[warp][k][number] = sum[0];
+                spoke |= 1u << k % 32;
+                #else
+                for (int j = 0; j < 10; ++j) slots.data[isect_of(k) * {BLOCK}ll + inside][j] = moments[j];
+                #endif
+                #pragma unroll 1
+                for (int f = 0; f < features; ++f) {{
+                    float v_feature = w * v_of(v_image.features, f);
                     #if defined(__CUDA_ARCH__)
-                    float fives[5], threes[3], twos[2], ones[1], sum[1];
-                    halve(moments, 10, fives, 5, 16);
-                    halve(fives, 5, threes, 3, 8);
-                    halve(threes, 3, twos, 2, 4);
-                    halve(twos, 2, ones, 1, 2);
-                    halve(ones, 1, sum, 1, 1);
-                    if (has_number && is_taught) parts[warp][k[i]][number] = sum[0];
-                    if (is_taught) spoke |= 1u << k[i] % 32;
+                    for (int other = 16; other > 0; other /= 2) v_feature += __shfl_xor_sync(~0u, v_feature, other);
+                    if (lane == 0) feature_slots.data[(isect_of(k) * {WARPS}ll + warp) * features + f] = v_feature;
                     #else
-                    if (is_taught)
-                        for (int j = 0; j < 10; ++j) slots.data[isect_of(k[i]) * {BLOCK}ll + inside][j] = moments[j];
+                    feature_slots.data[(isect_of(k) * {BLOCK}ll + inside) * features + f] = v_feature;
                     #endif
                 }}
-                #pragma unroll 1
-                for (int f = 0; f < features; ++f)
-                    for (int i = 0; i < {AT_ONCE}; ++i) {{
-                        if (i >= drawn) break;
-                        float v_feature = w[i] * v_of(v_image.features, f);
-                        #if defined(__CUDA_ARCH__)
-                        for (int other = 16; other > 0; other /= 2)
-                            v_feature += __shfl_xor_sync(~0u, v_feature, other);
-                        if (lane == 0)
-                            feature_slots.data[(isect_of(k[i]) * {WARPS}ll + warp) * features + f] = v_feature;
-                        #else
-                        feature_slots.data[(isect_of(k[i]) * {BLOCK}ll + inside) * features + f] = v_feature;
-                        #endif
-                    }}
             }}
             #if defined(__CUDA_ARCH__)
             if (lane == 0) said[warp][some / 32] = spoke;
@@ -317,9 +324,15 @@ _ADJOINT = f"""
 
 @wp.func_native(_COMPOSITE)
 def draw_pixel(
-    thread: int, canvas: Canvas, bins: Bins, records: wp.array(dtype=record16), image: wp.array(dtype=float)
+    thread: int,
+    canvas: Canvas,
+    bins: Bins,
+    records: wp.array(dtype=record16),
+    image: wp.array(dtype=float),
+    states: wp.array(dtype=float),
+    tile_from_segment: wp.array(dtype=int),
 ):
-    """Draw the pixel of a thread."""
+    """Draw the pixel of a thread, and keep its state where there is room for it."""
 
 
 @wp.func_native(_ADJOINT)
@@ -329,6 +342,8 @@ def draw_pixel_adjoint(
     bins: Bins,
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
+    states: wp.array(dtype=float),
+    tile_from_segment: wp.array(dtype=int),
     v_image: Gradient,
     trainable: int,
     slots: wp.array(dtype=slot10),
@@ -337,29 +352,38 @@ def draw_pixel_adjoint(
     """Add what the pixel of a thread says to slots, which start as zeros and take moments, see `gather`."""
 
 
-@wp.kernel(launch_bounds=(BLOCK, 3))
+@wp.kernel
 def composite(
     canvas: Canvas,
     bins: Bins,
     records: wp.array(dtype=record16),
     # outputs
     image: wp.array(dtype=float),
+    states: wp.array(dtype=float),
+    tile_from_segment: wp.array(dtype=int),
 ):
-    """Draw one pixel per thread."""
-    draw_pixel(wp.tid(), canvas, bins, records, image)
+    """Draw one pixel per thread; where there is room, keep for the adjoint what it needs of every segment.
+
+    Segments that are not reached are those of no tile: ``tile_from_segment`` starts as -1.
+    """
+    draw_pixel(wp.tid(), canvas, bins, records, image, states, tile_from_segment)
 
 
-@wp.kernel(launch_bounds=(BLOCK, 2))
+@wp.kernel
 def composite_adjoint(
     canvas: Canvas,
     bins: Bins,
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
+    states: wp.array(dtype=float),
+    tile_from_segment: wp.array(dtype=int),
     v_image: Gradient,
     trainable: int,
     # outputs
     slots: wp.array(dtype=slot10),
     feature_slots: wp.array(dtype=float),
 ):
-    """`PARTS` slots per intersection and `FEATURE_PARTS` of features; slots start as zeros."""
-    draw_pixel_adjoint(wp.tid(), canvas, bins, records, image, v_image, trainable, slots, feature_slots)
+    """One pixel of a segment per thread; `PARTS` slots per intersection and `FEATURE_PARTS` of features, once zeros."""
+    draw_pixel_adjoint(
+        wp.tid(), canvas, bins, records, image, states, tile_from_segment, v_image, trainable, slots, feature_slots
+    )

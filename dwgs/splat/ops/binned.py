@@ -21,6 +21,10 @@ class Binned:
     """[M] tile by tile, each nearest first."""
     ranges: Tensor
     """[tiles, 2] span of each tile in the sorted order."""
+    states: Tensor | None = None
+    """[segments * (5 + F) * 256] of a GPU's pixels, for the adjoint, see `kernels.composite_cuda`."""
+    tile_from_segment: Tensor | None = None
+    """[segments]."""
 
     def to_warp(self) -> Any:
         """The same arrays for the kernels."""

@@ -83,7 +83,7 @@ class _Composite(torch.autograd.Function):
         image = torch.empty(shape, device=where)
         canvas = _canvas(view, records, layers, feature)
         with torch_stream(where):
-            binned = WAYS[where.type].draw(canvas, records, image, capacity, threads)
+            binned = WAYS[where.type].draw(canvas, records, image, capacity, threads, any(ctx.needs_input_grad))
         ctx.canvas, ctx.binned, ctx.threads = canvas, binned, threads
         ctx.order, ctx.counts, ctx.needs, ctx.shapes = order, counts, needs, [part.shape for part in parts]
         ctx.save_for_backward(records, image, feature)

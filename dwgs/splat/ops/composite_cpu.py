@@ -19,7 +19,9 @@ _RUNS_PER_THREAD = 4
 _CPU = torch.device("cpu")
 
 
-def draw(canvas: Any, records: Tensor, image: Tensor, _capacity: int | None, threads: int) -> Binned:
+def draw(
+    canvas: Any, records: Tensor, image: Tensor, _capacity: int | None, threads: int, _trains: bool = False
+) -> Binned:
     """Bin records [V, N, 16] and fill the ``image``, which may be empty: then nothing is drawn.
 
     Room for the intersections is as large as it ever was; where that is too little, they are counted and it is tried

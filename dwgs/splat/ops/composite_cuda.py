@@ -1,5 +1,6 @@
 """Binning and compositing on a GPU."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,13 +14,23 @@ from dwgs.splat.kernels.project import record16
 from dwgs.splat.ops.binned import Binned
 
 
-def draw(canvas: Any, records: Tensor, image: Tensor, capacity: int | None, _threads: int) -> Binned:
-    """Bin records [V, N, 16] and fill the ``image``, which may be empty: then nothing is drawn."""
+def draw(
+    canvas: Any, records: Tensor, image: Tensor, capacity: int | None, _threads: int, trains: bool = False
+) -> Binned:
+    """Bin records [V, N, 16] and fill the ``image``, which may be empty: then nothing is drawn.
+
+    With what it keeps where it ``trains``, the adjoint can follow.
+    """
     binned = _bin(canvas, records, capacity)
-    if image.numel():
-        inputs = [canvas, binned.to_warp(), _records(records), wp.from_torch(image.view(-1))]
-        _launch(composite_cuda.composite, len(binned.ranges) * composite_cuda.BLOCK, inputs, records)
-    return binned
+    if not image.numel():
+        return binned
+    segments = len(binned.gaussian_from_isect) // composite_cuda.SEGMENT + len(binned.ranges) if trains else 0
+    states = records.new_empty(segments * image.shape[1] * composite_cuda.BLOCK)
+    tile_from_segment = torch.full((segments,), -1, dtype=torch.int32, device=records.device)
+    outputs = [wp.from_torch(tensor) for tensor in (image.view(-1), states, tile_from_segment)]
+    inputs = [canvas, binned.to_warp(), _records(records), *outputs]
+    _launch(composite_cuda.composite, len(binned.ranges) * composite_cuda.BLOCK, inputs, records)
+    return replace(binned, states=states, tile_from_segment=tile_from_segment)
 
 
 def draw_adjoint(
@@ -37,9 +48,12 @@ def draw_adjoint(
     count, parts = len(binned.gaussian_from_isect), (composite_cuda.PARTS, composite_cuda.FEATURE_PARTS)
     slots = wp.from_torch(records.new_zeros(count * parts[0], 10), dtype=slot10)
     feature_slots = wp.from_torch(records.new_zeros(count * parts[1] * features))
-    flat = wp.from_torch(image.view(-1))
-    inputs = [canvas, binned.to_warp(), _records(records), flat, v_image, trainable, slots, feature_slots]
-    _launch(composite_cuda.composite_adjoint, len(binned.ranges) * composite_cuda.BLOCK, inputs, records)
+    segments = binned.tile_from_segment
+    assert segments is not None, "nothing was kept for the adjoint"
+    assert binned.states is not None, "nothing was kept for the adjoint"
+    kept = [wp.from_torch(tensor) for tensor in (image.view(-1), binned.states, segments)]
+    inputs = [canvas, binned.to_warp(), _records(records), *kept, v_image, trainable, slots, feature_slots]
+    _launch(composite_cuda.composite_adjoint, len(segments) * composite_cuda.BLOCK, inputs, records)
     numbers = [*parts, records.shape[1], trainable, features]
     outputs = [_records(v_records), wp.from_torch(v_features.flatten(0, 1))]
     inputs = [slots, feature_slots, wp.from_torch(binned.ends), *numbers, _records(records), *outputs]
@@ -53,30 +67,30 @@ def _bin(canvas: Any, records: Tensor, capacity: int | None) -> Binned:
     in_records = _records(records)
 
     empty = partial(torch.empty, dtype=torch.int32, device=where)
-    areas, counts = wp.from_torch(empty(n, 4), dtype=wp.vec4i), empty(n)
-    _launch(bin_cuda.count, n, [in_records, per_view, tiles, areas, wp.from_torch(counts)], records)
+    areas, counts = empty(n, 4), empty(n)
+    in_areas = wp.from_torch(areas, dtype=wp.vec4i)
+    _launch(bin_cuda.count, n, [in_records, per_view, tiles, in_areas, wp.from_torch(counts)], records)
     ends = counts.cumsum(0, dtype=torch.int32)  # Warp's scan frees memory, which no graph allows
     in_ends = wp.from_torch(ends)
     m = capacity if capacity is not None else int(ends[-1]) if n else 0
 
-    # the radix sort wants room for twice what it sorts
-    keys = empty(2 * m, dtype=torch.int64)
-    if capacity is not None:
-        keys.fill_(count << bin_cuda.DEPTH_BITS)
-    isects, gaussian_from_isect = empty(2 * m), empty(m)
-    in_keys, in_isects = wp.from_torch(keys), wp.from_torch(isects)
-    outputs = [in_keys, in_isects, wp.from_torch(gaussian_from_isect)]
-    _launch(bin_cuda.emit, n, [in_records, areas, in_ends, tiles, *outputs], records)
-    wp.utils.radix_sort_pairs(in_keys, in_isects, m, 0, bin_cuda.DEPTH_BITS + count.bit_length())
+    sizes, keys = torch.zeros(count, dtype=torch.int32, device=where), empty(m, dtype=torch.int64)
+    gaussian_from_isect, isect_from_sorted, ranges = empty(m), empty(m), empty(count, 2)
+    in_sizes, in_places = wp.from_torch(sizes), wp.from_torch(isect_from_sorted)  # whose room is free as yet
+    _launch(bin_cuda.tally, n, [in_areas, in_ends, tiles, in_sizes, in_places], records)
+    in_tile_ends, in_keys = wp.from_torch(sizes.cumsum(0, dtype=torch.int32)), wp.from_torch(keys, dtype=wp.uint64)
+    places = [in_places, in_sizes, in_tile_ends]
+    outputs = [in_keys, wp.from_torch(gaussian_from_isect)]
+    _launch(bin_cuda.deal, n, [in_records, in_areas, in_ends, tiles, *places, *outputs], records)
+    sorters = bin_cuda.SORTERS if records.is_cuda else 1
+    outputs = [wp.from_torch(isect_from_sorted), wp.from_torch(ranges, dtype=wp.vec2i)]
+    _launch(bin_cuda.sort, count * sorters, [in_tile_ends, in_keys, sorters, *outputs], records, bin_cuda.SORTERS)
+    return Binned(ends, gaussian_from_isect, isect_from_sorted, ranges)
 
-    ranges = torch.zeros(count, 2, dtype=torch.int32, device=where)
-    _launch(bin_cuda.find_ranges, m, [in_keys, m, wp.from_torch(ranges, dtype=wp.vec2i)], records)
-    return Binned(ends, gaussian_from_isect, isects[:m], ranges)
 
-
-def _launch(kernel: Any, items: int, inputs: list[Any], records: Tensor) -> None:
+def _launch(kernel: Any, items: int, inputs: list[Any], records: Tensor, block: int = composite_cuda.BLOCK) -> None:
     device = wp.device_from_torch(records.device)
-    wp.launch(kernel, items, inputs, device=device, block_dim=composite_cuda.BLOCK, record_tape=False)
+    wp.launch(kernel, items, inputs, device=device, block_dim=block, record_tape=False)
 
 
 def _records(records: Tensor) -> Any:

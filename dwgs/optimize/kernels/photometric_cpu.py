@@ -1,5 +1,5 @@
 # type: ignore  (Warp's language, which is not Python's)
-"""Losses on colour and their gradients, one pass over the pixels each.
+"""Losses on colour and their gradients on a CPU, one pass over the pixels each.
 
 Images are [3, H, W] planes whose rows are dense; weights [H, W] are dense.
 """
