@@ -85,7 +85,7 @@ class OursOnCuda:
         shape = view.height, view.width
         normal = lambda *shape: torch.randn(*shape, generator=random, device=random.device)  # noqa: E731
         self.v_outputs = normal(*shape, 3), normal(*shape), normal(*shape)
-        self.target = normal(*shape, 3).sigmoid()
+        self.target = normal(3, *shape).sigmoid().movedim(0, -1)  # planes, as renderings are
 
     def render(self) -> tuple[Tensor, Tensor, Tensor]:
         """rgb, depth, alpha."""

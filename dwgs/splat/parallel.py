@@ -19,6 +19,8 @@ from dwgs.splat.kernels import bin_cuda, composite_cpu, composite_cuda, crew, ga
 
 CHUNKS_PER_THREAD = 4
 """Threads take chunks as they come, so one slow thread does not hold up the rest."""
+BLOCK = 128
+"""Threads per block of a GPU: twenty thousand Gaussians keep all of a large one busy."""
 CORES = os.cpu_count() or 1
 """More threads than cores in a crew would wait for each other."""
 
@@ -48,7 +50,7 @@ def launch(kernel: Any, bounds: Sequence[int], inputs: Sequence, device: wp.Devi
     if bounds[-1] == 0:
         return
     if threads <= 1 or len(bounds) == 2 or not device.is_cpu:
-        wp.launch(kernel, dim=bounds[-1], inputs=[0, *inputs], device=device, record_tape=False)
+        wp.launch(kernel, bounds[-1], [0, *inputs], device=device, block_dim=BLOCK, record_tape=False)
         return
     spans = iter([(a, b) for a, b in itertools.pairwise(bounds) if a < b])  # each span goes to one thread
 

@@ -2,11 +2,14 @@
 """Binning on a GPU: deal intersections to their tiles in any order, then sort each tile by itself.
 
 What a tile is sorted by is unique, depth before number, so that the order it was dealt in leaves no trace. A block
-sorts the intersections of one tile, in shared memory as far as there is room for them.
+sorts one tile: its warps sort runs, which it merges, every key finding its place in the run beside its own.
 """
+
+from math import log
 
 import warp as wp
 
+from dwgs.splat import constants
 from dwgs.splat.kernels.bins import TOUCHED
 from dwgs.splat.kernels.project import record16
 
@@ -14,8 +17,11 @@ wp.set_module_options({"enable_backward": False})
 
 SORTERS = 512
 """Threads that sort a tile."""
-_ROOM = 4096
-"""Keys in shared memory; of longer lists the long strides are taken through global memory."""
+_ROOM = 2560
+"""Keys of a tile that have room, twice, in shared memory."""
+TILE = wp.constant(constants.TILE)
+SLACK = 0.01
+"""On the logarithm of alpha: no rounding hides a Gaussian from the pixels it reaches."""
 
 
 @wp.func_native(f"{TOUCHED} return touched(i);")
@@ -99,43 +105,65 @@ def deal(
 
 
 @wp.func_native(f"""
+    const float* record = (const float*)&records.data[i];
+    const float x = record[0], y = record[1], xx = record[2], xy = record[3], yy = record[4], log_opacity = record[12];
+    auto clamp = [](float t, float low, float high) -> float {{ return t < low ? low : t > high ? high : t; }};
+    auto power = [&](float dx, float dy) -> float {{ return -0.5f * (xx * dx * dx + yy * dy * dy) - xy * dx * dy; }};
+    int reached = 0;
+    #pragma unroll
+    for (int warp = 0; warp < 8; ++warp) {{
+        // off the mean, the outermost pixel centres; strongest, it is on one of the two edges nearest to it
+        const float left = tile_x + warp % 2 * 8 + 0.5f - x, right = left + 7.0f;
+        const float top = tile_y + warp / 2 * 4 + 0.5f - y, bottom = top + 3.0f;
+        const float near_x = clamp(0.0f, left, right), near_y = clamp(0.0f, top, bottom);
+        const float by_x = power(near_x, clamp(-xy * near_x / yy, top, bottom));
+        const float by_y = power(clamp(-xy * near_y / xx, left, right), near_y);
+        reached |= ((by_x > by_y ? by_x : by_y) + log_opacity > {log(constants.MIN_ALPHA) - SLACK}f) << warp;
+    }}
+    return reached;
+""")
+def warps_reached(records: wp.array(dtype=record16), i: int, tile_x: int, tile_y: int) -> int:
+    """Which blocks of 8x4 pixels of a tile a Gaussian reaches, a bit for each."""
+
+
+@wp.func_native(f"""
     const int end = tile_ends.data[tile], begin = tile ? tile_ends.data[tile - 1] : 0, count = end - begin;
     unsigned long long* const own = (unsigned long long*)keys.data + begin;
     if (thread == 0) ranges.data[tile] = wp::vec_t<2, int>(begin, end);
     #if defined(__CUDA_ARCH__)
-    // a bitonic network of the next power of two; what is past the end counts as the largest and never moves
-    __shared__ unsigned long long shared[{_ROOM}];
-    int size = 2;
-    while (size < count) size *= 2;
-    auto exchange = [&](unsigned long long* at, int i, int j) {{
-        if (at[i] > at[j]) {{ const unsigned long long other = at[i]; at[i] = at[j]; at[j] = other; }}
-    }};
-    // all pairs of one stride in at[0, span); at the first of a run its halves meet from both ends
-    auto pass = [&](unsigned long long* at, int span, int known, int stride, bool is_first, int next_stride) {{
-        for (int k = threadIdx.x; k < span / 2; k += {SORTERS}) {{
-            const int inside = k & (stride - 1), run = (k - inside) * 2, i = run + inside;
-            const int j = is_first ? run + 2 * stride - 1 - inside : i + stride;
-            if (j < known) exchange(at, i, j);
-        }}
-        // the 64 keys of a warp are its own as long as strides are short
-        if (stride > 32 || next_stride > 32) __syncthreads(); else __syncwarp();
-    }};
-    auto merge = [&](unsigned long long* at, int span, int known, int run) {{  // sorted halves of runs
-        for (int stride = run / 2; stride > 0; stride /= 2)
-            pass(at, span, known, stride, 2 * stride == run, stride > 1 ? stride / 2 : run);
-    }};
-    for (int chunk = 0; chunk < count; chunk += {_ROOM}) {{
-        const int known = count - chunk < {_ROOM} ? count - chunk : {_ROOM}, span = size < {_ROOM} ? size : {_ROOM};
-        for (int k = threadIdx.x; k < known; k += {SORTERS}) shared[k] = own[chunk + k];
-        __syncthreads();
-        for (int run = 2; run <= span; run *= 2) merge(shared, span, known, run);
-        __syncthreads();
-        for (int k = threadIdx.x; k < known; k += {SORTERS}) own[chunk + k] = shared[k];
-        __syncthreads();
+    __shared__ unsigned long long shared[2][{_ROOM}];
+    const bool is_small = count <= {_ROOM};
+    unsigned long long* from = is_small ? shared[0] : (unsigned long long*)spare_keys.data + begin;
+    unsigned long long* to = is_small ? shared[1] : own;
+    const int lane = thread % 32;
+    for (int chunk = thread - lane; chunk < count; chunk += {SORTERS}) {{  // a bitonic network over the warp
+        unsigned long long key = chunk + lane < count ? own[chunk + lane] : ~0ull;
+        for (int run = 2; run <= 32; run *= 2)
+            for (int stride = run / 2; stride > 0; stride /= 2) {{
+                const unsigned long long other = __shfl_xor_sync(~0u, key, stride);
+                if ((other < key) == (!(lane & run) == !(lane & stride))) key = other;
+            }}
+        if (chunk + lane < count) from[chunk + lane] = key;
     }}
-    for (int run = 2 * {_ROOM}; run <= size; run *= 2) merge(own, size, count, run);
     __syncthreads();
-    for (int k = threadIdx.x; k < count; k += {SORTERS}) isects.data[begin + k] = (int)(own[k] & 0xffffffffull);
+    for (int run = 32; run < count; run *= 2) {{
+        for (int k = thread; k < count; k += {SORTERS}) {{
+            const int first = k & -2 * run, middle = first + run;
+            const int last = middle + run < count ? middle + run : count;
+            const unsigned long long key = from[k];
+            int low = k < middle ? middle < count ? middle : count : first, high = k < middle ? last : middle;
+            const int start = low;
+            while (low < high) {{
+                const int half = (low + high) / 2;
+                if (from[half] < key) low = half + 1; else high = half;
+            }}
+            to[(k < middle ? k : k - run) + low - start] = key;
+        }}
+        __syncthreads();
+        unsigned long long* const other = from;
+        from = to, to = other;
+    }}
+    for (int k = thread; k < count; k += {SORTERS}) isects.data[begin + k] = (int)(from[k] & 0xffffffffull);
     #else
     for (int k = 1; k < count; ++k) {{
         const unsigned long long key = own[k];
@@ -151,6 +179,7 @@ def sort_tile(
     thread: int,
     tile_ends: wp.array(dtype=int),
     keys: wp.array(dtype=wp.uint64),
+    spare_keys: wp.array(dtype=wp.uint64),
     isects: wp.array(dtype=int),
     ranges: wp.array(dtype=wp.vec2i),
 ):
@@ -161,10 +190,22 @@ def sort_tile(
 def sort(
     tile_ends: wp.array(dtype=int),
     keys: wp.array(dtype=wp.uint64),
+    spare_keys: wp.array(dtype=wp.uint64),
     sorters: int,
+    records: wp.array(dtype=record16),
+    gaussian_from_isect: wp.array(dtype=int),
+    tiles: wp.vec2i,
     # outputs
     isect_from_sorted: wp.array(dtype=int),
+    reached_from_sorted: wp.array(dtype=int),
     ranges: wp.array(dtype=wp.vec2i),
 ):
-    """Put every tile in order, by so many ``sorters`` each, and say where it lies."""
-    sort_tile(wp.tid() / sorters, wp.tid() % sorters, tile_ends, keys, isect_from_sorted, ranges)
+    """Put every tile in order, by so many ``sorters`` each; say where it lies and which of its warps are reached."""
+    tile = wp.tid() / sorters
+    thread = wp.tid() % sorters
+    sort_tile(tile, thread, tile_ends, keys, spare_keys, isect_from_sorted, ranges)
+    tile_x = tile % tiles[0] * TILE
+    tile_y = tile / tiles[0] % tiles[1] * TILE
+    for k in range(ranges[tile][0] + thread, ranges[tile][1], sorters):  # each what it has written itself
+        gaussian = gaussian_from_isect[isect_from_sorted[k]]
+        reached_from_sorted[k] = warps_reached(records, gaussian, tile_x, tile_y)

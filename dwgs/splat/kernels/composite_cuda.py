@@ -1,8 +1,8 @@
 # type: ignore  (Warp's language, which is not Python's)
 """The two compositing loops on a GPU: one block per 16x16 tile, one warp per 8x4 pixels of it, one thread per pixel.
 
-A block carries the Gaussians of its tile into shared memory, batch by batch, the next on its way while one is drawn.
-Each lane asks of one Gaussian whether it reaches the warp's pixels, and the warp draws those that do. In the adjoint
+A block carries the Gaussians of its tile into shared memory, batch by batch, the next on its way while one is drawn;
+a warp draws those that reach its pixels, which `bin_cuda` found out. In the adjoint
 a warp sums its pixels' gradients by halves, so that twelve shuffles do for ten numbers, and the block sums those of
 its warps in order: no atomics, and the same bytes every time. It walks a crowded tile in segments, a block each, from
 states that the first pass kept of its pixels.
@@ -10,8 +10,6 @@ states that the first pass kept of its pixels.
 The same text runs on a CPU, every pixel being a block, a warp and a lane by itself: slow, but a witness for
 everything but the exchange between threads. Launched over tiles x `BLOCK` threads, ``block_dim=BLOCK``.
 """
-
-from math import log
 
 import warp as wp
 
@@ -31,10 +29,10 @@ PARTS, FEATURE_PARTS = 1, WARPS
 """Gradients of records and of features per intersection."""
 BATCH = 64
 """Gaussians in shared memory at once in the adjoint; `BLOCK` in the first pass. 32 lanes at a time ask for them."""
+AT_ONCE = 4
+"""Gaussians that the first pass draws at once: their alphas need not wait for each other."""
 SEGMENT = 128
 """Intersections of a tile after which the state of its pixels is kept, so that the adjoint can begin there."""
-SLACK = 0.01
-"""On the logarithm of alpha: no rounding hides a Gaussian from the pixels it reaches."""
 
 
 def _prelude(batch: int) -> str:
@@ -43,32 +41,28 @@ def _prelude(batch: int) -> str:
     rows = 3 // loaders
     return f"""
     #if defined(__CUDA_ARCH__)
-    const int lanes = 32, lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+    const int lanes = 32, lane = threadIdx.x % 32;
     auto ballot = [](bool x) -> unsigned {{ return __ballot_sync(~0u, x); }};
     auto exponential = [](float x) -> float {{
         float y;
         asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x * 1.44269504f));
         return y;
     }};
-    auto logarithm = [](float x) -> float {{ return __logf(x); }};
     auto over = [](float x, float y) -> float {{ return __fdividef(x, y); }};
     #else
     const int lanes = 1, lane = 0;
     auto ballot = [](bool x) -> unsigned {{ return x; }};
     auto exponential = [](float x) -> float {{ return wp::exp(x); }};
-    auto logarithm = [](float x) -> float {{ return wp::log(x); }};
     auto over = [](float x, float y) -> float {{ return x / y; }};
     #endif
 
     // a warp has 8x4 pixels
-    const int inside = thread % {BLOCK};
+    const int inside = thread % {BLOCK}, warp = inside / 32;
     const int tiles = canvas.tiles_across * canvas.tiles_down, view = tile / tiles;
-    const int left = (tile - view * tiles) % canvas.tiles_across * 16 + inside / 32 % 2 * 8;
-    const int top = (tile - view * tiles) / canvas.tiles_across * 16 + inside / 64 * 4;
-    const int column = left + inside % 8, row = top + inside % 32 / 8;
+    const int tile_x = (tile - view * tiles) % canvas.tiles_across * 16;
+    const int tile_y = (tile - view * tiles) / canvas.tiles_across * 16;
+    const int column = tile_x + warp % 2 * 8 + inside % 8, row = tile_y + warp / 2 * 4 + inside % 32 / 8;
     const float x = column + 0.5f, y = row + 0.5f;
-    const float left_x = lanes > 1 ? left + 0.5f : x, right_x = lanes > 1 ? left + 7.5f : x;
-    const float top_y = lanes > 1 ? top + 0.5f : y, bottom_y = lanes > 1 ? top + 3.5f : y;
 
     const int stride = canvas.tiles_across * 16;
     const long long plane = stride * 16ll * canvas.tiles_down;
@@ -87,17 +81,18 @@ def _prelude(batch: int) -> str:
     struct alignas(16) Row {{ float a, b, c, d; }};
     #if defined(__CUDA_ARCH__)
     __shared__ Row batch[{batch}][3];
-    __shared__ int isects[{batch}], gaussians[{batch}];
+    __shared__ int isects[{batch}], gaussians[{batch}], reached[{batch}];
     const int loaded = threadIdx.x / {loaders}, row_loaded = threadIdx.x % {loaders} * {rows};
-    int next_isect = 0, next_gaussian = 0, own_isect = 0, own_gaussian = 0;
+    int next_isect = 0, next_gaussian = 0, next_reached = 0, own_isect = 0, own_gaussian = 0, own_reached = 0;
     Row own[{rows}] = {{}};
     auto ask = [&](int begin) -> void {{  // for whom to load
         if (loaded >= {batch} || begin + loaded >= end) return;
+        next_reached = reached_from_sorted.data[begin + loaded];
         next_isect = bins.isect_from_sorted.data[begin + loaded];
         next_gaussian = bins.gaussian_from_isect.data[next_isect];
     }};
     auto fetch = [&](int begin) -> void {{
-        own_isect = next_isect, own_gaussian = next_gaussian;
+        own_isect = next_isect, own_gaussian = next_gaussian, own_reached = next_reached;
         if (loaded >= {batch} || begin + loaded >= end) return;
         for (int i = 0; i < {rows}; ++i) own[i] = ((const Row*)(records.data + own_gaussian))[row_loaded + i];
     }};
@@ -108,7 +103,7 @@ def _prelude(batch: int) -> str:
         __syncthreads();  // nobody reads the last batch any more
         if (loaded < {batch}) {{
             for (int i = 0; i < {rows}; ++i) batch[loaded][row_loaded + i] = own[i];
-            isects[loaded] = own_isect, gaussians[loaded] = own_gaussian;
+            isects[loaded] = own_isect, gaussians[loaded] = own_gaussian, reached[loaded] = own_reached;
         }}
         __syncthreads();
         fetch(begin + {batch});
@@ -117,36 +112,29 @@ def _prelude(batch: int) -> str:
     auto all_threads = [](bool x) -> bool {{ return __syncthreads_and(x); }};
     auto isect_of = [&](int k) -> int {{ return isects[k]; }};
     auto gaussian_of = [&](int k) -> int {{ return gaussians[k]; }};
+    auto is_reached = [&](int k) -> bool {{ return reached[k] >> warp & 1; }};
     auto row_of = [&](int k, int part) -> Row {{ return batch[k][part]; }};
     #else
     int begun = first;
     auto load = [&](int begin) -> void {{ begun = begin; }};
-    auto all_threads = [](bool x) -> bool {{ return x; }};
+    auto all_threads = [](bool) -> bool {{ return false; }};  // who knows? Every pixel is to keep its states
     auto isect_of = [&](int k) -> int {{ return bins.isect_from_sorted.data[begun + k]; }};
     auto gaussian_of = [&](int k) -> int {{ return bins.gaussian_from_isect.data[isect_of(k)]; }};
+    auto is_reached = [&](int k) -> bool {{ return reached_from_sorted.data[begun + k] >> warp & 1; }};
     auto row_of = [&](int k, int part) -> Row {{ return ((const Row*)(records.data + gaussian_of(k)))[part]; }};
     #endif
-    auto clamp = [](float t, float low, float high) -> float {{ return t < low ? low : t > high ? high : t; }};
     auto power_of = [](const Row& p, const Row& q, float dx, float dy) -> float {{
         const float power = -0.5f * (p.c * dx * dx + q.a * dy * dy) - p.d * dx * dy;
         return power < 0.0f ? power : 0.0f;
     }};
-    auto reaches = [&](int k) -> bool {{  // strongest, it is on one of the two nearest edges of the warp's pixels
-        const Row p = row_of(k, 0), q = row_of(k, 1);
-        const float near_x = clamp(p.a, left_x, right_x) - p.a, near_y = clamp(p.b, top_y, bottom_y) - p.b;
-        const float along_y = clamp(-over(p.d * near_x, q.a), top_y - p.b, bottom_y - p.b);
-        const float along_x = clamp(-over(p.d * near_y, p.c), left_x - p.a, right_x - p.a);
-        const float by_x = power_of(p, q, near_x, along_y), by_y = power_of(p, q, along_x, near_y);
-        return (by_x > by_y ? by_x : by_y) + logarithm(q.b) > {log(constants.MIN_ALPHA) - SLACK}f;
-    }};
-    auto next = [](unsigned& hits) -> int {{  // of these bits the lowest, which is cleared
+    auto take = [](unsigned& hits) -> int {{  // of these bits the lowest, counted from 1; then it is cleared
         #if defined(__CUDA_ARCH__)
-        const int k = __ffs(hits) - 1;
+        const int bit = __ffs(hits);
         #else
-        const int k = __builtin_ctz(hits);
+        const int bit = __builtin_ffs(hits);
         #endif
         hits &= hits - 1;
-        return k;
+        return bit;
     }};
     auto alpha_of = [&](const Row& p, const Row& q) -> float {{  // before it is clamped
         return q.b * exponential(power_of(p, q, x - p.a, y - p.b));
@@ -189,25 +177,33 @@ _COMPOSITE = f"""
                 for (int f = 0; f < features; ++f) kept_of(segment, 5 + f) = shown[(5 + f) * plane];
             }}
             if (!ballot(T >= {constants.STOP_TRANSMITTANCE}f)) continue;
-            unsigned hits = ballot(some + lane < count && reaches(some + lane));
-            if (!hits) continue;
-            int k = some + next(hits);
-            Row p = row_of(k, 0), q = row_of(k, 1), r = row_of(k, 2);
-            for (bool is_last = false; !is_last;) {{
-                const int drawn = k;
-                const float raw = alpha_of(p, q), red = q.c, green = q.d, blue = r.a, depth = r.b;
-                is_last = !hits;
-                if (hits) k = some + next(hits);  // on its way while this one is drawn
-                p = row_of(k, 0), q = row_of(k, 1), r = row_of(k, 2);
-                const float w = is_kept(raw) ? T * clamped(raw) : 0.0f;
-                T -= w;
-                total[0] += w * red;
-                total[1] += w * green;
-                total[2] += w * blue;
-                total[3] += w * depth;
-                total[4] += w;
+            unsigned hits = ballot(some + lane < count && is_reached(some + lane));
+            while (hits) {{
+                int k[{AT_ONCE}];
+                float raw[{AT_ONCE}], w[{AT_ONCE}];
+                #pragma unroll
+                for (int i = 0; i < {AT_ONCE}; ++i) {{
+                    const int bit = take(hits);
+                    k[i] = bit ? some + bit - 1 : k[i > 0 ? i - 1 : 0];
+                    // a product, where a choice would be a branch
+                    raw[i] = (bit ? 1.0f : 0.0f) * alpha_of(row_of(k[i], 0), row_of(k[i], 1));
+                }}
+                #pragma unroll
+                for (int i = 0; i < {AT_ONCE}; ++i) {{
+                    w[i] = is_kept(raw[i]) ? T * clamped(raw[i]) : 0.0f;
+                    T -= w[i];
+                    const Row q = row_of(k[i], 1), r = row_of(k[i], 2);
+                    total[0] += w[i] * q.c;
+                    total[1] += w[i] * q.d;
+                    total[2] += w[i] * r.a;
+                    total[3] += w[i] * r.b;
+                    total[4] += w[i];
+                }}
                 #pragma unroll 1
-                for (int f = 0; f < features; ++f) shown[(5 + f) * plane] += w * feature_of(gaussian_of(drawn), f);
+                for (int f = 0; f < features; ++f)
+                    #pragma unroll
+                    for (int i = 0; i < {AT_ONCE}; ++i)
+                        shown[(5 + f) * plane] += w[i] * feature_of(gaussian_of(k[i]), f);
             }}
         }}
     }}
@@ -257,11 +253,11 @@ _ADJOINT = f"""
         load(begin);
         const int count = end - begin < {BATCH} ? end - begin : {BATCH};
         for (int some = 0; some < count; some += lanes) {{
-            unsigned hits = ballot(some + lane < count && reaches(some + lane));
+            unsigned hits = ballot(some + lane < count && is_reached(some + lane));
             if (!ballot(T >= {constants.STOP_TRANSMITTANCE}f)) hits = 0;
             unsigned spoke = 0;
             while (hits) {{
-                const int k = some + next(hits);
+                const int k = some + take(hits) - 1;
                 const Row p = row_of(k, 0), q = row_of(k, 1), r = row_of(k, 2);
                 const float raw = alpha_of(p, q), alpha = clamped(raw), w = is_kept(raw) ? T * alpha : 0.0f;
                 if (!ballot(w > 0.0f)) continue;
@@ -327,6 +323,7 @@ def draw_pixel(
     thread: int,
     canvas: Canvas,
     bins: Bins,
+    reached_from_sorted: wp.array(dtype=int),
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
     states: wp.array(dtype=float),
@@ -340,6 +337,7 @@ def draw_pixel_adjoint(
     thread: int,
     canvas: Canvas,
     bins: Bins,
+    reached_from_sorted: wp.array(dtype=int),
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
     states: wp.array(dtype=float),
@@ -356,6 +354,7 @@ def draw_pixel_adjoint(
 def composite(
     canvas: Canvas,
     bins: Bins,
+    reached_from_sorted: wp.array(dtype=int),
     records: wp.array(dtype=record16),
     # outputs
     image: wp.array(dtype=float),
@@ -366,13 +365,14 @@ def composite(
 
     Segments that are not reached are those of no tile: ``tile_from_segment`` starts as -1.
     """
-    draw_pixel(wp.tid(), canvas, bins, records, image, states, tile_from_segment)
+    draw_pixel(wp.tid(), canvas, bins, reached_from_sorted, records, image, states, tile_from_segment)
 
 
 @wp.kernel
 def composite_adjoint(
     canvas: Canvas,
     bins: Bins,
+    reached_from_sorted: wp.array(dtype=int),
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
     states: wp.array(dtype=float),
@@ -385,5 +385,16 @@ def composite_adjoint(
 ):
     """One pixel of a segment per thread; `PARTS` slots per intersection and `FEATURE_PARTS` of features, once zeros."""
     draw_pixel_adjoint(
-        wp.tid(), canvas, bins, records, image, states, tile_from_segment, v_image, trainable, slots, feature_slots
+        wp.tid(),
+        canvas,
+        bins,
+        reached_from_sorted,
+        records,
+        image,
+        states,
+        tile_from_segment,
+        v_image,
+        trainable,
+        slots,
+        feature_slots,
     )

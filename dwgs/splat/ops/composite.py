@@ -1,6 +1,7 @@
 """Records to an image, differentiably."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import torch
@@ -131,10 +132,15 @@ def _gradient(images: Sequence[Tensor | None], shape: tuple[int, ...], where: to
     gradient = Gradient()
     for name, count, image in zip(("rgb", "depth", "alpha", "features"), (3, 1, 1, planes - 5), images, strict=True):
         if image is None:
-            image = torch.zeros(1, device=where).expand(views, height, width, count)
+            image = _zero(where).expand(views, height, width, count)
         image = image.reshape(views, height, width, count).movedim(-1, 1)
         setattr(gradient, name, wp.from_torch(image))
     return gradient
+
+
+@cache
+def _zero(where: torch.device) -> Tensor:
+    return torch.zeros(1, device=where)
 
 
 def bin(records: Tensor, view: View, capacity: int | None, threads: int) -> Binned:

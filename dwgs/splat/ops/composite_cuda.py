@@ -12,6 +12,7 @@ from dwgs.splat.kernels import bin_cuda, composite_cuda
 from dwgs.splat.kernels.gather import gather, slot10
 from dwgs.splat.kernels.project import record16
 from dwgs.splat.ops.binned import Binned
+from dwgs.splat.parallel import BLOCK
 
 
 def draw(
@@ -28,8 +29,8 @@ def draw(
     states = records.new_empty(segments * image.shape[1] * composite_cuda.BLOCK)
     tile_from_segment = torch.full((segments,), -1, dtype=torch.int32, device=records.device)
     outputs = [wp.from_torch(tensor) for tensor in (image.view(-1), states, tile_from_segment)]
-    inputs = [canvas, binned.to_warp(), _records(records), *outputs]
-    _launch(composite_cuda.composite, len(binned.ranges) * composite_cuda.BLOCK, inputs, records)
+    inputs = [canvas, binned.to_warp(), _reached(binned), _records(records), *outputs]
+    _launch(composite_cuda.composite, len(binned.ranges) * composite_cuda.BLOCK, inputs, records, composite_cuda.BLOCK)
     return replace(binned, states=states, tile_from_segment=tile_from_segment)
 
 
@@ -52,8 +53,11 @@ def draw_adjoint(
     assert segments is not None, "nothing was kept for the adjoint"
     assert binned.states is not None, "nothing was kept for the adjoint"
     kept = [wp.from_torch(tensor) for tensor in (image.view(-1), binned.states, segments)]
-    inputs = [canvas, binned.to_warp(), _records(records), *kept, v_image, trainable, slots, feature_slots]
-    _launch(composite_cuda.composite_adjoint, len(segments) * composite_cuda.BLOCK, inputs, records)
+    inputs = [canvas, binned.to_warp(), _reached(binned), _records(records), *kept, v_image, trainable]
+    inputs += [slots, feature_slots]
+    _launch(
+        composite_cuda.composite_adjoint, len(segments) * composite_cuda.BLOCK, inputs, records, composite_cuda.BLOCK
+    )
     numbers = [*parts, records.shape[1], trainable, features]
     outputs = [_records(v_records), wp.from_torch(v_features.flatten(0, 1))]
     inputs = [slots, feature_slots, wp.from_torch(binned.ends), *numbers, _records(records), *outputs]
@@ -74,24 +78,31 @@ def _bin(canvas: Any, records: Tensor, capacity: int | None) -> Binned:
     in_ends = wp.from_torch(ends)
     m = capacity if capacity is not None else int(ends[-1]) if n else 0
 
-    sizes, keys = torch.zeros(count, dtype=torch.int32, device=where), empty(m, dtype=torch.int64)
-    gaussian_from_isect, isect_from_sorted, ranges = empty(m), empty(m), empty(count, 2)
+    sizes, keys = torch.zeros(count, dtype=torch.int32, device=where), empty(2, m, dtype=torch.int64)
+    gaussian_from_isect, isect_from_sorted, reached, ranges = empty(m), empty(m), empty(m), empty(count, 2)
     in_sizes, in_places = wp.from_torch(sizes), wp.from_torch(isect_from_sorted)  # whose room is free as yet
     _launch(bin_cuda.tally, n, [in_areas, in_ends, tiles, in_sizes, in_places], records)
-    in_tile_ends, in_keys = wp.from_torch(sizes.cumsum(0, dtype=torch.int32)), wp.from_torch(keys, dtype=wp.uint64)
+    in_tile_ends = wp.from_torch(sizes.cumsum(0, dtype=torch.int32))
+    in_keys, in_spare_keys = (wp.from_torch(row, dtype=wp.uint64) for row in keys)
     places = [in_places, in_sizes, in_tile_ends]
     outputs = [in_keys, wp.from_torch(gaussian_from_isect)]
     _launch(bin_cuda.deal, n, [in_records, in_areas, in_ends, tiles, *places, *outputs], records)
     sorters = bin_cuda.SORTERS if records.is_cuda else 1
-    outputs = [wp.from_torch(isect_from_sorted), wp.from_torch(ranges, dtype=wp.vec2i)]
-    _launch(bin_cuda.sort, count * sorters, [in_tile_ends, in_keys, sorters, *outputs], records, bin_cuda.SORTERS)
-    return Binned(ends, gaussian_from_isect, isect_from_sorted, ranges)
+    inputs = [in_tile_ends, in_keys, in_spare_keys, sorters, in_records, wp.from_torch(gaussian_from_isect), tiles]
+    outputs = [wp.from_torch(isect_from_sorted), wp.from_torch(reached), wp.from_torch(ranges, dtype=wp.vec2i)]
+    _launch(bin_cuda.sort, count * sorters, [*inputs, *outputs], records, bin_cuda.SORTERS)
+    return Binned(ends, gaussian_from_isect, isect_from_sorted, ranges, reached)
 
 
-def _launch(kernel: Any, items: int, inputs: list[Any], records: Tensor, block: int = composite_cuda.BLOCK) -> None:
+def _launch(kernel: Any, items: int, inputs: list[Any], records: Tensor, block: int = BLOCK) -> None:
     device = wp.device_from_torch(records.device)
     wp.launch(kernel, items, inputs, device=device, block_dim=block, record_tape=False)
 
 
 def _records(records: Tensor) -> Any:
     return wp.from_torch(records.view(-1, 16), dtype=record16)
+
+
+def _reached(binned: Binned) -> Any:
+    assert binned.reached_from_sorted is not None, "binned for a CPU"
+    return wp.from_torch(binned.reached_from_sorted)
