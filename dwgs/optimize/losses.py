@@ -62,15 +62,20 @@ class _Error(torch.autograd.Function):
         v_rgb, sums = rgb.new_empty(3, *weight.shape), rgb.new_empty(len(weight), 2)
         inputs = [*_images(rgb, target, weight), int(squared), wp.from_torch(v_rgb), wp.from_torch(sums, dtype=wp.vec2)]
         if rgb.is_cuda:
-            block, device = photometric_cuda.BLOCK, wp.device_from_torch(rgb.device)
+            loss, block, device = rgb.new_empty(2), photometric_cuda.BLOCK, wp.device_from_torch(rgb.device)
             with torch_stream(rgb.device):
                 wp.launch(photometric_cuda.error, block * len(sums), inputs, device=device, block_dim=block)
+                wp.launch(
+                    photometric_cuda.mean, block, [inputs[-1], wp.from_torch(loss)], device=device, block_dim=block
+                )
+            mean, share = loss
         else:
             _run(photometric_cpu.error, len(sums), inputs)
-        total, total_weight = sums.sum(0)
-        share = 1 / (3 * total_weight.clamp_min(1.0))
+            total, total_weight = sums.sum(0)
+            share = 1 / (3 * total_weight.clamp_min(1.0))
+            mean = total * share
         ctx.save_for_backward(v_rgb, share)
-        return total * share
+        return mean
 
     @staticmethod
     @once_differentiable

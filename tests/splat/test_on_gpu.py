@@ -8,7 +8,9 @@ import torch
 from torch import Tensor
 
 from dwgs.optimize import Rates, SplatParameters
-from dwgs.splat import Layers, Objects, Rendering, Splats, View, capture, reference, render
+from dwgs.optimize.losses import weighted_l1, weighted_mse
+from dwgs.splat import Layers, Objects, Rendering, Splats, View, capture, project, reference, render
+from dwgs.splat.ops.composite import bin
 
 pytestmark = [
     pytest.mark.gpu,
@@ -116,6 +118,27 @@ def test_degenerate_clouds_are_drawn_as_on_a_cpu(make_cloud, make_view):
         assert (ours.rgb.cpu() - theirs.rgb).abs().max() < 1e-4
         assert all(v.isfinite().all() for v in v_ours)
         assert all((a.cpu() - b).norm() <= 1e-3 * b.norm() + 1e-6 for a, b in zip(v_ours, v_theirs, strict=True))
+
+
+def test_crowded_tiles_are_in_order(make_cloud, make_view):
+    view, splats = make_view(width=20, height=20), make_cloud(n=20_000)
+    records = project(splats, view).records[None]
+    ours, theirs = bin(records.cuda(), seen(view, "cuda"), None, 1), bin(records, view, None, 1)
+    assert (theirs.ranges[:, 1] - theirs.ranges[:, 0]).max() > 8192
+    assert ours.isect_from_sorted.cpu().equal(theirs.isect_from_sorted)
+    assert ours.gaussian_from_isect.cpu().equal(theirs.gaussian_from_isect)
+
+
+@pytest.mark.parametrize("loss", [weighted_l1, weighted_mse])
+def test_losses_are_those_of_a_cpu(loss):
+    random = torch.Generator().manual_seed(0)
+    rgb, target = torch.rand(2, 300, 600, 3, generator=random)
+    weight = torch.rand(300, 600, generator=random)
+    there, here = rgb.cuda().requires_grad_(), rgb.requires_grad_()
+    ours, theirs = loss(there, target.cuda(), weight.cuda()), loss(here, target, weight)
+    assert ours.item() == pytest.approx(theirs.item(), rel=1e-5)
+    (v_ours,), (v_theirs,) = torch.autograd.grad(3 * ours, there), torch.autograd.grad(3 * theirs, here)
+    assert (v_ours.cpu() - v_theirs).norm() < 1e-5 * v_theirs.norm()
 
 
 def trainable(splats: Splats, where: str) -> SplatParameters:

@@ -72,3 +72,30 @@ def error(
 ):
     """Weighted absolute or squared error by row of pixels, the sum of weights beside it, and the gradient."""
     row_error(wp.tid() / wp.static(BLOCK), wp.tid() % wp.static(BLOCK), rgb, target, weights, squared, v_rgb, sums)
+
+
+@wp.func_native(f"""
+    wp::vec2 total(0.0f, 0.0f);
+    for (int row = thread; row < sums.shape[0]; row += {BLOCK}) total += sums.data[row];
+    #if defined(__CUDA_ARCH__)
+    __shared__ wp::vec2 totals[{BLOCK}];
+    totals[thread] = total;
+    for (int half = {BLOCK} / 2; half > 0; half /= 2) {{
+        __syncthreads();
+        if (thread < half) totals[thread] += totals[thread + half];
+    }}
+    total = totals[0];
+    #endif
+    if (thread) return;
+    const float share = 1.0f / (3.0f * (total[1] > 1.0f ? total[1] : 1.0f));
+    loss.data[0] = total[0] * share;
+    loss.data[1] = share;
+""")
+def all_rows(thread: int, sums: wp.array(dtype=wp.vec2), loss: wp.array(dtype=float)):
+    """Mean error, and what a pixel's weight is of all."""
+
+
+@wp.kernel
+def mean(sums: wp.array(dtype=wp.vec2), loss: wp.array(dtype=float)):
+    """Of the sums of rows, by one block: the mean error by weight and channel, and what it was divided by, inverted."""
+    all_rows(wp.tid(), sums, loss)

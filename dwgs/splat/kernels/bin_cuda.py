@@ -15,10 +15,12 @@ from dwgs.splat.kernels.project import record16
 
 wp.set_module_options({"enable_backward": False})
 
-SORTERS = 512
+SORTERS = 256
 """Threads that sort a tile."""
-_ROOM = 2560
-"""Keys of a tile that have room, twice, in shared memory."""
+_ROOM = 2816
+"""Keys of a tile that have room, twice, in shared memory; longer lists are sorted outside it."""
+_AT_ONCE = 4
+"""Keys a thread finds places for at once: their searches need not wait for each other."""
 TILE = wp.constant(constants.TILE)
 SLACK = 0.01
 """On the logarithm of alpha: no rounding hides a Gaussian from the pixels it reaches."""
@@ -74,6 +76,28 @@ def tally(
             isect += 1
 
 
+@wp.func_native(f"""
+    const float x = record[0], y = record[1], xx = record[2], xy = record[3], yy = record[4], log_opacity = record[12];
+    const float slope_x = -xy / xx, slope_y = -xy / yy;
+    auto clamp = [](float t, float low, float high) -> float {{ return t < low ? low : t > high ? high : t; }};
+    auto power = [&](float dx, float dy) -> float {{ return -0.5f * (xx * dx * dx + yy * dy * dy) - xy * dx * dy; }};
+    int reached = 0;
+    #pragma unroll
+    for (int warp = 0; warp < 8; ++warp) {{
+        // off the mean, the outermost pixel centres; strongest, it is on one of the two edges nearest to it
+        const float left = tile_x + warp % 2 * 8 + 0.5f - x, right = left + 7.0f;
+        const float top = tile_y + warp / 2 * 4 + 0.5f - y, bottom = top + 3.0f;
+        const float near_x = clamp(0.0f, left, right), near_y = clamp(0.0f, top, bottom);
+        const float by_x = power(near_x, clamp(slope_y * near_x, top, bottom));
+        const float by_y = power(clamp(slope_x * near_y, left, right), near_y);
+        reached |= ((by_x > by_y ? by_x : by_y) + log_opacity > {log(constants.MIN_ALPHA) - SLACK}f) << warp;
+    }}
+    return reached;
+""")
+def warps_reached(record: record16, tile_x: int, tile_y: int) -> int:
+    """Which blocks of 8x4 pixels of a tile a Gaussian reaches, a bit for each."""
+
+
 @wp.kernel
 def deal(
     records: wp.array(dtype=record16),
@@ -86,8 +110,9 @@ def deal(
     # outputs
     keys: wp.array(dtype=wp.uint64),
     gaussian_from_isect: wp.array(dtype=int),
+    reached_from_isect: wp.array(dtype=int),
 ):
-    """Write the intersections of each Gaussian to their places.
+    """Write the intersections of each Gaussian to their places, and which warps of their tiles it reaches.
 
     Depths are positive: their bits are in the order of their values.
     """
@@ -101,29 +126,8 @@ def deal(
                 tile = row * tiles[0] + column
                 keys[tile_ends[tile] - sizes[tile] + places[isect]] = depth | wp.uint64(isect)
                 gaussian_from_isect[isect] = i
+                reached_from_isect[isect] = warps_reached(records[i], column * TILE, row % tiles[1] * TILE)
             isect += 1
-
-
-@wp.func_native(f"""
-    const float* record = (const float*)&records.data[i];
-    const float x = record[0], y = record[1], xx = record[2], xy = record[3], yy = record[4], log_opacity = record[12];
-    auto clamp = [](float t, float low, float high) -> float {{ return t < low ? low : t > high ? high : t; }};
-    auto power = [&](float dx, float dy) -> float {{ return -0.5f * (xx * dx * dx + yy * dy * dy) - xy * dx * dy; }};
-    int reached = 0;
-    #pragma unroll
-    for (int warp = 0; warp < 8; ++warp) {{
-        // off the mean, the outermost pixel centres; strongest, it is on one of the two edges nearest to it
-        const float left = tile_x + warp % 2 * 8 + 0.5f - x, right = left + 7.0f;
-        const float top = tile_y + warp / 2 * 4 + 0.5f - y, bottom = top + 3.0f;
-        const float near_x = clamp(0.0f, left, right), near_y = clamp(0.0f, top, bottom);
-        const float by_x = power(near_x, clamp(-xy * near_x / yy, top, bottom));
-        const float by_y = power(clamp(-xy * near_y / xx, left, right), near_y);
-        reached |= ((by_x > by_y ? by_x : by_y) + log_opacity > {log(constants.MIN_ALPHA) - SLACK}f) << warp;
-    }}
-    return reached;
-""")
-def warps_reached(records: wp.array(dtype=record16), i: int, tile_x: int, tile_y: int) -> int:
-    """Which blocks of 8x4 pixels of a tile a Gaussian reaches, a bit for each."""
 
 
 @wp.func_native(f"""
@@ -132,38 +136,53 @@ def warps_reached(records: wp.array(dtype=record16), i: int, tile_x: int, tile_y
     if (thread == 0) ranges.data[tile] = wp::vec_t<2, int>(begin, end);
     #if defined(__CUDA_ARCH__)
     __shared__ unsigned long long shared[2][{_ROOM}];
-    const bool is_small = count <= {_ROOM};
-    unsigned long long* from = is_small ? shared[0] : (unsigned long long*)spare_keys.data + begin;
-    unsigned long long* to = is_small ? shared[1] : own;
     const int lane = thread % 32;
-    for (int chunk = thread - lane; chunk < count; chunk += {SORTERS}) {{  // a bitonic network over the warp
-        unsigned long long key = chunk + lane < count ? own[chunk + lane] : ~0ull;
-        for (int run = 2; run <= 32; run *= 2)
-            for (int stride = run / 2; stride > 0; stride /= 2) {{
-                const unsigned long long other = __shfl_xor_sync(~0u, key, stride);
-                if ((other < key) == (!(lane & run) == !(lane & stride))) key = other;
-            }}
-        if (chunk + lane < count) from[chunk + lane] = key;
-    }}
-    __syncthreads();
-    for (int run = 32; run < count; run *= 2) {{
-        for (int k = thread; k < count; k += {SORTERS}) {{
-            const int first = k & -2 * run, middle = first + run;
-            const int last = middle + run < count ? middle + run : count;
-            const unsigned long long key = from[k];
-            int low = k < middle ? middle < count ? middle : count : first, high = k < middle ? last : middle;
-            const int start = low;
-            while (low < high) {{
-                const int half = (low + high) / 2;
-                if (from[half] < key) low = half + 1; else high = half;
-            }}
-            to[(k < middle ? k : k - run) + low - start] = key;
+    auto arrange = [&](auto key_of) -> void {{  // by two sides of memory
+        for (int chunk = thread - lane; chunk < count; chunk += {SORTERS}) {{  // runs of 32: a bitonic network
+            unsigned long long key = chunk + lane < count ? own[chunk + lane] : ~0ull;
+            for (int run = 2; run <= 32; run *= 2)
+                for (int stride = run / 2; stride > 0; stride /= 2) {{
+                    const unsigned long long other = __shfl_xor_sync(~0u, key, stride);
+                    if ((other < key) == (!(lane & run) == !(lane & stride))) key = other;
+                }}
+            if (chunk + lane < count) key_of(0, chunk + lane) = key;
         }}
         __syncthreads();
-        unsigned long long* const other = from;
-        from = to, to = other;
-    }}
-    for (int k = thread; k < count; k += {SORTERS}) isects.data[begin + k] = (int)(from[k] & 0xffffffffull);
+        int side = 0;
+        for (int run = 32; run < count; run *= 2, side = 1 - side) {{
+            for (int some = thread; some < count; some += {_AT_ONCE * SORTERS}) {{
+                unsigned long long key[{_AT_ONCE}];
+                int start[{_AT_ONCE}], end[{_AT_ONCE}], place[{_AT_ONCE}];
+                #pragma unroll
+                for (int i = 0; i < {_AT_ONCE}; ++i) {{
+                    const int k = some + i * {SORTERS} < count ? some + i * {SORTERS} : some;
+                    const int first = k & -2 * run, middle = first + run < count ? first + run : count;
+                    const int last = middle + run < count ? middle + run : count;
+                    key[i] = key_of(side, k);
+                    start[i] = k < middle ? middle : first;  // of the run it is merged with
+                    end[i] = k < middle ? last : middle;
+                    place[i] = (k < middle ? k : k - run) - start[i];
+                }}
+                for (int step = run; step > 0; step /= 2)
+                    #pragma unroll
+                    for (int i = 0; i < {_AT_ONCE}; ++i) {{  // how many keys of that run are smaller
+                        const int next = start[i] + step, at = next <= end[i] ? next - 1 : 0;
+                        start[i] += (next <= end[i]) & (key_of(side, at) < key[i]) ? step : 0;
+                    }}
+                #pragma unroll
+                for (int i = 0; i < {_AT_ONCE}; ++i)
+                    if (some + i * {SORTERS} < count) key_of(1 - side, start[i] + place[i]) = key[i];
+            }}
+            __syncthreads();
+        }}
+        for (int k = thread; k < count; k += {SORTERS}) isects.data[begin + k] = (int)(key_of(side, k) & 0xffffffffull);
+    }};
+    if (count <= {_ROOM})
+        arrange([&](int side, int k) -> unsigned long long& {{ return shared[side][k]; }});
+    else
+        arrange([&](int side, int k) -> unsigned long long& {{
+            return side ? own[k] : ((unsigned long long*)spare_keys.data)[begin + k];
+        }});
     #else
     for (int k = 1; k < count; ++k) {{
         const unsigned long long key = own[k];
@@ -192,20 +211,9 @@ def sort(
     keys: wp.array(dtype=wp.uint64),
     spare_keys: wp.array(dtype=wp.uint64),
     sorters: int,
-    records: wp.array(dtype=record16),
-    gaussian_from_isect: wp.array(dtype=int),
-    tiles: wp.vec2i,
     # outputs
     isect_from_sorted: wp.array(dtype=int),
-    reached_from_sorted: wp.array(dtype=int),
     ranges: wp.array(dtype=wp.vec2i),
 ):
-    """Put every tile in order, by so many ``sorters`` each; say where it lies and which of its warps are reached."""
-    tile = wp.tid() / sorters
-    thread = wp.tid() % sorters
-    sort_tile(tile, thread, tile_ends, keys, spare_keys, isect_from_sorted, ranges)
-    tile_x = tile % tiles[0] * TILE
-    tile_y = tile / tiles[0] % tiles[1] * TILE
-    for k in range(ranges[tile][0] + thread, ranges[tile][1], sorters):  # each what it has written itself
-        gaussian = gaussian_from_isect[isect_from_sorted[k]]
-        reached_from_sorted[k] = warps_reached(records, gaussian, tile_x, tile_y)
+    """Put every tile in order, by so many ``sorters`` each, and say where it lies."""
+    sort_tile(wp.tid() / sorters, wp.tid() % sorters, tile_ends, keys, spare_keys, isect_from_sorted, ranges)

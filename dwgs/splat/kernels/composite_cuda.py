@@ -31,7 +31,7 @@ BATCH = 64
 """Gaussians in shared memory at once in the adjoint; `BLOCK` in the first pass. 32 lanes at a time ask for them."""
 AT_ONCE = 4
 """Gaussians that the first pass draws at once: their alphas need not wait for each other."""
-SEGMENT = 128
+SEGMENT = 64
 """Intersections of a tile after which the state of its pixels is kept, so that the adjoint can begin there."""
 
 
@@ -87,9 +87,9 @@ def _prelude(batch: int) -> str:
     Row own[{rows}] = {{}};
     auto ask = [&](int begin) -> void {{  // for whom to load
         if (loaded >= {batch} || begin + loaded >= end) return;
-        next_reached = reached_from_sorted.data[begin + loaded];
         next_isect = bins.isect_from_sorted.data[begin + loaded];
         next_gaussian = bins.gaussian_from_isect.data[next_isect];
+        next_reached = reached_from_isect.data[next_isect];
     }};
     auto fetch = [&](int begin) -> void {{
         own_isect = next_isect, own_gaussian = next_gaussian, own_reached = next_reached;
@@ -120,7 +120,7 @@ def _prelude(batch: int) -> str:
     auto all_threads = [](bool) -> bool {{ return false; }};  // who knows? Every pixel is to keep its states
     auto isect_of = [&](int k) -> int {{ return bins.isect_from_sorted.data[begun + k]; }};
     auto gaussian_of = [&](int k) -> int {{ return bins.gaussian_from_isect.data[isect_of(k)]; }};
-    auto is_reached = [&](int k) -> bool {{ return reached_from_sorted.data[begun + k] >> warp & 1; }};
+    auto is_reached = [&](int k) -> bool {{ return reached_from_isect.data[isect_of(k)] >> warp & 1; }};
     auto row_of = [&](int k, int part) -> Row {{ return ((const Row*)(records.data + gaussian_of(k)))[part]; }};
     #endif
     auto power_of = [](const Row& p, const Row& q, float dx, float dy) -> float {{
@@ -323,7 +323,7 @@ def draw_pixel(
     thread: int,
     canvas: Canvas,
     bins: Bins,
-    reached_from_sorted: wp.array(dtype=int),
+    reached_from_isect: wp.array(dtype=int),
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
     states: wp.array(dtype=float),
@@ -337,7 +337,7 @@ def draw_pixel_adjoint(
     thread: int,
     canvas: Canvas,
     bins: Bins,
-    reached_from_sorted: wp.array(dtype=int),
+    reached_from_isect: wp.array(dtype=int),
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
     states: wp.array(dtype=float),
@@ -354,7 +354,7 @@ def draw_pixel_adjoint(
 def composite(
     canvas: Canvas,
     bins: Bins,
-    reached_from_sorted: wp.array(dtype=int),
+    reached_from_isect: wp.array(dtype=int),
     records: wp.array(dtype=record16),
     # outputs
     image: wp.array(dtype=float),
@@ -365,14 +365,14 @@ def composite(
 
     Segments that are not reached are those of no tile: ``tile_from_segment`` starts as -1.
     """
-    draw_pixel(wp.tid(), canvas, bins, reached_from_sorted, records, image, states, tile_from_segment)
+    draw_pixel(wp.tid(), canvas, bins, reached_from_isect, records, image, states, tile_from_segment)
 
 
 @wp.kernel
 def composite_adjoint(
     canvas: Canvas,
     bins: Bins,
-    reached_from_sorted: wp.array(dtype=int),
+    reached_from_isect: wp.array(dtype=int),
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
     states: wp.array(dtype=float),
@@ -388,7 +388,7 @@ def composite_adjoint(
         wp.tid(),
         canvas,
         bins,
-        reached_from_sorted,
+        reached_from_isect,
         records,
         image,
         states,

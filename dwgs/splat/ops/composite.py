@@ -93,7 +93,7 @@ class _Composite(torch.autograd.Function):
         inside = image[..., : view.height, : view.width]
         inside = inside if view.is_batch else inside[0]
         rgb, rest = inside[..., :3, :, :].movedim(-3, -1), inside[..., PLANES:, :, :].movedim(-3, -1)
-        intersections = binned.ends[-1:].sum()
+        intersections = binned.ends[-1].long() if len(binned.ends) else binned.ends.sum()
         ctx.mark_non_differentiable(intersections)
         return rgb, inside[..., 3, :, :], inside[..., 4, :, :], rest, intersections
 

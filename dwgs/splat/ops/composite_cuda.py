@@ -85,12 +85,12 @@ def _bin(canvas: Any, records: Tensor, capacity: int | None) -> Binned:
     in_tile_ends = wp.from_torch(sizes.cumsum(0, dtype=torch.int32))
     in_keys, in_spare_keys = (wp.from_torch(row, dtype=wp.uint64) for row in keys)
     places = [in_places, in_sizes, in_tile_ends]
-    outputs = [in_keys, wp.from_torch(gaussian_from_isect)]
+    outputs = [in_keys, wp.from_torch(gaussian_from_isect), wp.from_torch(reached)]
     _launch(bin_cuda.deal, n, [in_records, in_areas, in_ends, tiles, *places, *outputs], records)
     sorters = bin_cuda.SORTERS if records.is_cuda else 1
-    inputs = [in_tile_ends, in_keys, in_spare_keys, sorters, in_records, wp.from_torch(gaussian_from_isect), tiles]
-    outputs = [wp.from_torch(isect_from_sorted), wp.from_torch(reached), wp.from_torch(ranges, dtype=wp.vec2i)]
-    _launch(bin_cuda.sort, count * sorters, [*inputs, *outputs], records, bin_cuda.SORTERS)
+    outputs = [wp.from_torch(isect_from_sorted), wp.from_torch(ranges, dtype=wp.vec2i)]
+    inputs = [in_tile_ends, in_keys, in_spare_keys, sorters, *outputs]
+    _launch(bin_cuda.sort, count * sorters, inputs, records, bin_cuda.SORTERS)
     return Binned(ends, gaussian_from_isect, isect_from_sorted, ranges, reached)
 
 
@@ -104,5 +104,5 @@ def _records(records: Tensor) -> Any:
 
 
 def _reached(binned: Binned) -> Any:
-    assert binned.reached_from_sorted is not None, "binned for a CPU"
-    return wp.from_torch(binned.reached_from_sorted)
+    assert binned.reached_from_isect is not None, "binned for a CPU"
+    return wp.from_torch(binned.reached_from_isect)
