@@ -41,12 +41,14 @@ class Oracle(Workload):
 
 @dataclass(frozen=True)
 class Splat(Workload):
-    """Time and memory of the splatter, beside a plain C++ loop and torch."""
+    """Time and memory of the splatter, beside a plain C++ loop and torch, and on a GPU beside gsplat."""
 
     scenes: tuple[SplatScene, ...] = ("car5k", "car20k", "car100k", "full200k", "street1m")
     """What is drawn."""
     torch_scenes: tuple[SplatScene, ...] = ("car20k",)
     """Of these, where torch is measured too: it is slow."""
+    devices: tuple[Literal["cpu", "cuda"], ...] = ("cpu", "cuda")
+    """Where; without a GPU the second is left out."""
     repeats: int = 9
     """Rounds that count."""
 
@@ -54,7 +56,7 @@ class Splat(Workload):
         """Render, forward and backward."""
         from benchmarks.workloads import splat
 
-        return splat.run(self.scenes, self.torch_scenes, self.repeats)
+        return splat.run(self.scenes, self.torch_scenes, self.devices, self.repeats)
 
 
 @dataclass(frozen=True)

@@ -87,8 +87,19 @@ SCENES: dict[str, Callable[[], tuple[Splats, View]]] = {
 """Procedural, and the same every time."""
 
 
-def run(scenes: Sequence[str], torch_scenes: Sequence[str], repeats: int) -> list[Metric]:
-    """Time and memory of each scene; torch is a rival in ``torch_scenes`` only."""
+def run(scenes: Sequence[str], torch_scenes: Sequence[str], devices: Sequence[str], repeats: int) -> list[Metric]:
+    """Time and memory of each scene on each device; torch is a rival in ``torch_scenes`` only."""
+    metrics = run_on_cpu(scenes, torch_scenes, repeats) if "cpu" in devices else []
+    if "cuda" in devices and torch.cuda.is_available():
+        from benchmarks.workloads import splat_cuda
+
+        for name in scenes:
+            metrics += splat_cuda.measure(name, *SCENES[name](), repeats)
+    return metrics
+
+
+def run_on_cpu(scenes: Sequence[str], torch_scenes: Sequence[str], repeats: int) -> list[Metric]:
+    """As `run`."""
     metrics = []
     for name in scenes:
         ours = Ours(*SCENES[name]())

@@ -8,6 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,9 +23,18 @@ from dwgs.splat import Splats, View, capture, composite, project, render
 
 ROOM = 1.1
 """Capacity over the intersections there are."""
+WARM_UP = 3
+"""Steps before the first that counts."""
 STEPS = 20
 """In a row."""
 RATES = Rates(means=1e-4, quats=1e-4, scales=1e-4, opacities=1e-4, sh_dc=1e-4, sh_rest=1e-4)
+
+
+RATIOS = {
+    "speedup_over_gsplat": ("cuda.gsplat_step_ms", "cuda.step_ms"),
+    "captured_over_gsplat": ("cuda.gsplat_train_ms", "cuda.captured_step_ms"),
+}
+"""One time over another: forward and adjoint, both eager; a step of training, ours in a graph."""
 
 
 def measure(name: str, splats: Splats, view: View, repeats: int) -> list[Metric]:
@@ -32,44 +42,50 @@ def measure(name: str, splats: Splats, view: View, repeats: int) -> list[Metric]
     splats = Splats(*(getattr(splats, f.name).cuda() for f in fields(Splats)))
     view = View(view.viewmat.cuda(), view.intrinsics, view.width, view.height)
     ours = OursOnCuda(splats, view)
-    work: dict[str, Callable[[], object]] = {
-        "forward_ms": ours.render,
-        "step_ms": ours.step,
-        "captured_step_ms": ours.captured(),
-        **ours.stages(),
-    }
-    ratios: dict[str, tuple[str, str]] = {}
-    if find_spec("gsplat"):
-        from benchmarks.rivals.gsplat import Gsplat
+    rival = _rival(splats, view)
+    metrics = compare(name, {**ours.work(), **({} if rival is None else _work_of(rival, ours))}, repeats)
+    if rival is not None:
+        error = (rival.render()[0] - ours.render()[0]).square().mean()
+        metrics.append(Metric(f"splat.{name}.psnr_to_gsplat", -10 * error.log10().item(), "dB"))
+    torch.cuda.reset_peak_memory_stats()
+    before = torch.cuda.memory_allocated()
+    ours.step()
+    peak = torch.cuda.max_memory_allocated() - before
+    return [*metrics, Metric(f"splat.{name}.cuda.peak_bytes", peak, "B")]
 
-        rival = Gsplat(splats, view)
-        outputs = rival.render()
-        work["gsplat_forward_ms"] = rival.render
-        work["gsplat_step_ms"] = lambda: torch.autograd.grad(rival.render(), rival.inputs, ours.v_outputs)
-        work["gsplat_train_ms"] = lambda: rival.train(ours.target)
-        ratios["speedup_over_gsplat"] = "gsplat_step_ms", "step_ms"
-        ratios["captured_over_gsplat"] = "gsplat_train_ms", "captured_step_ms"
+
+def _rival(splats: Splats, view: View) -> Any:
+    if find_spec("gsplat") is None:
+        Console(stderr=True).print("gsplat is not installed: no rival on the GPU; pip install gsplat")
+        return None
+    from benchmarks.rivals.gsplat import Gsplat
+
+    return Gsplat(splats, view)
+
+
+def _work_of(rival: Any, ours: "OursOnCuda") -> dict[str, Callable[[], object]]:
+    return {
+        "cuda.gsplat_forward_ms": rival.render,
+        "cuda.gsplat_step_ms": lambda: torch.autograd.grad(rival.render(), rival.inputs, ours.v_outputs),
+        "cuda.gsplat_train_ms": lambda: rival.train(ours.target),
+    }
+
+
+def compare(name: str, work: dict[str, Callable[[], object]], repeats: int) -> list[Metric]:
+    """Times and their ratios: median and spread."""
     samples: dict[str, list[float]] = defaultdict(list)
-    for _ in range(3):
+    for _ in range(WARM_UP):
         for each in work.values():
             each()
     for _ in track(range(repeats), f"{name} on the GPU", console=Console(stderr=True), transient=True):
         times = {key: milliseconds(each) for key, each in work.items()}
-        times |= {key: times[over] / times[under] for key, (over, under) in ratios.items()}
-        for key, value in times.items():
+        ratios = {key: times[a] / times[b] for key, (a, b) in RATIOS.items() if a in times}
+        for key, value in {**times, **ratios}.items():
             samples[key].append(value)
     metrics = []
     for key, values in samples.items():
         low, median, high = np.quantile(values, [0.25, 0.5, 0.75]).tolist()
-        metrics.append(Metric(f"splat.cuda.{name}.{key}", median, "" if key in ratios else "ms", high - low))
-    if ratios:
-        error = (outputs[0] - ours.render()[0]).square().mean()
-        metrics.append(Metric(f"splat.cuda.{name}.psnr_to_gsplat", -10 * error.log10().item(), "dB"))
-    torch.cuda.reset_peak_memory_stats()
-    before = torch.cuda.memory_allocated()
-    ours.step()
-    metrics.append(Metric(f"splat.cuda.{name}.intersections", ours.intersections, ""))
-    metrics.append(Metric(f"splat.cuda.{name}.peak_bytes", torch.cuda.max_memory_allocated() - before, "B"))
+        metrics.append(Metric(f"splat.{name}.{key}", median, "" if key in RATIOS else "ms", high - low))
     return metrics
 
 
@@ -79,8 +95,7 @@ class OursOnCuda:
     def __init__(self, splats: Splats, view: View) -> None:
         self.splats, self.view = splats, view
         self.inputs = [getattr(splats, f.name).detach().clone().requires_grad_() for f in fields(Splats)]
-        self.intersections = int(render(splats, view).intersections)
-        self.capacity = int(self.intersections * ROOM)
+        self.capacity = int(ROOM * int(render(splats, view).intersections))
         random = torch.Generator(view.viewmat.device).manual_seed(0)
         shape = view.height, view.width
         normal = lambda *shape: torch.randn(*shape, generator=random, device=random.device)  # noqa: E731
@@ -95,6 +110,11 @@ class OursOnCuda:
     def step(self) -> Sequence[Tensor]:
         """Forward and adjoint."""
         return torch.autograd.grad(self.render(), self.inputs, self.v_outputs)
+
+    def work(self) -> dict[str, Callable[[], object]]:
+        """All that is timed."""
+        whole = {"cuda.forward_ms": self.render, "cuda.step_ms": self.step, "cuda.captured_step_ms": self.captured()}
+        return {**whole, **self.stages()}
 
     def captured(self) -> Callable[[], None]:
         """A step of training in a graph: render, loss, adjoint, Adam."""
@@ -116,10 +136,12 @@ class OursOnCuda:
         v_records = torch.randn_like(projected.records)
         grad = torch.autograd.grad
         return {
-            "stage.project_ms": lambda: project(Splats(*self.inputs), self.view),
-            "stage.composite_ms": lambda: composite(projected, self.view, capacity=self.capacity),
-            "stage.composite_adjoint_ms": lambda: grad(outputs, projected.records, self.v_outputs, retain_graph=True),
-            "stage.project_adjoint_ms": lambda: grad(projected.records, self.inputs, v_records, retain_graph=True),
+            "cuda.stage.project_ms": lambda: project(Splats(*self.inputs), self.view),
+            "cuda.stage.composite_ms": lambda: composite(projected, self.view, capacity=self.capacity),
+            "cuda.stage.composite_adjoint_ms": lambda: grad(
+                outputs, projected.records, self.v_outputs, retain_graph=True
+            ),
+            "cuda.stage.project_adjoint_ms": lambda: grad(projected.records, self.inputs, v_records, retain_graph=True),
         }
 
 

@@ -2,10 +2,10 @@
 """The two compositing loops on a GPU: one block per 16x16 tile, one warp per 8x4 pixels of it, one thread per pixel.
 
 A block carries the Gaussians of its tile into shared memory, batch by batch, the next on its way while one is drawn;
-a warp draws those that reach its pixels, which `bin_cuda` found out. In the adjoint
-a warp sums its pixels' gradients by halves, so that twelve shuffles do for ten numbers, and the block sums those of
-its warps in order: no atomics, and the same bytes every time. It walks a crowded tile in segments, a block each, from
-states that the first pass kept of its pixels.
+a warp draws those that reach its pixels, which `bin_cuda` found out. In the adjoint a warp sums its pixels' gradients
+by halves, so that twelve shuffles do for ten numbers, and the block sums those of its warps in order: no atomics, and
+the same bytes every time. The adjoint walks a crowded tile in segments, a block each, from states that the first pass
+kept of its pixels.
 
 The same text runs on a CPU, every pixel being a block, a warp and a lane by itself: slow, but a witness for
 everything but the exchange between threads. Launched over tiles x `BLOCK` threads, ``block_dim=BLOCK``.
@@ -31,7 +31,7 @@ BATCH = 64
 """Gaussians in shared memory at once in the adjoint; `BLOCK` in the first pass. 32 lanes at a time ask for them."""
 AT_ONCE = 4
 """Gaussians that the first pass draws at once: their alphas need not wait for each other."""
-SEGMENT = 64
+SEGMENT = 128
 """Intersections of a tile after which the state of its pixels is kept, so that the adjoint can begin there."""
 
 
