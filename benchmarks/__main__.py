@@ -60,10 +60,32 @@ class Splat(Workload):
 
 
 @dataclass(frozen=True)
+class Distill(Workload):
+    """What a distillation reaches in the seconds it is given, against what it converges to."""
+
+    frames: int = 193
+    """Length of the clip."""
+    seconds: tuple[float, ...] = (10, 25, 60)
+    """The times, everything but judging included."""
+    reference_steps: int = 30_000
+    """Of what counts as converged."""
+
+    def measure(self) -> list[Metric]:
+        """Fit, once for each time."""
+        from benchmarks.workloads import distill
+
+        return distill.run(self.frames, self.seconds, self.reference_steps)
+
+
+@dataclass(frozen=True)
 class Run:
     """Measure one workload."""
 
-    workload: Annotated[Oracle, tyro.conf.subcommand("oracle")] | Annotated[Splat, tyro.conf.subcommand("splat")]
+    workload: (
+        Annotated[Oracle, tyro.conf.subcommand("oracle")]
+        | Annotated[Splat, tyro.conf.subcommand("splat")]
+        | Annotated[Distill, tyro.conf.subcommand("distill")]
+    )
 
 
 def main() -> None:

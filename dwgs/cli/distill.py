@@ -1,8 +1,8 @@
 """dwgs distill: the vehicle as Gaussians."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -11,6 +11,9 @@ from dwgs.cli.progress import Bar, decibels, say
 from dwgs.cli.reconstruct import clip_key
 from dwgs.cli.stage import StageRecord, fingerprint, run_stage
 from dwgs.scene import InputError, Insertion, Scene
+
+if TYPE_CHECKING:
+    from dwgs.distill import DistillConfig
 
 TRAJECTORY_FILE = "trajectory.json"
 """Beside the asset: where it drove in the scene it comes from."""
@@ -31,13 +34,22 @@ class Distill:
     """Id of a recorded vehicle, or how it begins."""
     steps: int | None = None
     """Steps of the optimiser; by default what suits the video."""
+    seconds: float | None = None
+    """Instead: how long preparing and fitting may take; the schedule is made for that."""
     seed: int = 0
     """Of everything random."""
+
+    def config(self) -> "DistillConfig":
+        """How it is fitted."""
+        if self.steps is not None and self.seconds is not None:
+            raise InputError("a schedule is as long as --steps or as --seconds say: give one of them")
+        return distill_config(self.steps, self.seed, self.seconds)
 
     def run(self) -> None:
         """Leave an asset folder."""
         from dwgs.formats import background_folder
 
+        config = self.config()
         scene = self.clip.open()
         if self.track is not None and self.insertion is None:
             insertion = insertion_of_track(self.clip.open_whole(), self.track)
@@ -53,13 +65,21 @@ class Distill:
             "background": background_folder.fingerprint(self.background),
             "insertion": self.track if self.insertion is None else fingerprint(self.insertion),
         }
-        record = distill_stage(scene, background, insertion, source, self.out, self.steps, self.seed)
+        record = distill_stage(scene, background, insertion, source, self.out, config)
         report = record.report
         say(f"held-out ROI PSNR {decibels(report['psnr_roi_heldout'])}, {report['gaussians']:,} Gaussians")
         say(
             f"next: dwgs render {self.clip.scene} --background {self.background} --asset {self.out} "
             "--move 0 3 0 -o moved.mp4"
         )
+
+
+def distill_config(steps: int | None, seed: int, seconds: float | None = None) -> "DistillConfig":
+    """Of what may be left out on the command line."""
+    from dwgs.distill import DistillConfig
+
+    default = DistillConfig(seed=seed, seconds=seconds)
+    return default if steps is None else replace(default, steps=steps)
 
 
 def insertion_of_track(scene: Scene, id: str) -> Insertion:
@@ -74,12 +94,10 @@ def insertion_of_track(scene: Scene, id: str) -> Insertion:
 
 
 def distill_stage(
-    scene: Scene, background, insertion: Insertion, source: dict, folder: Path, steps: int | None, seed: int
+    scene: Scene, background, insertion: Insertion, source: dict, folder: Path, config: "DistillConfig"
 ) -> StageRecord:
     """Fit the asset of ``insertion`` into ``folder``."""
-    from dwgs.distill import DistillConfig, distill
-
-    config = DistillConfig(seed=seed) if steps is None else DistillConfig(seed=seed, steps=steps)
+    from dwgs.distill import distill
 
     def make(draft: Path, progress: Bar) -> dict:
         from dwgs.formats import asset_folder

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from dwgs.cli.condition import condition_stage, insertion_key
-from dwgs.cli.distill import distill_stage
+from dwgs.cli.distill import distill_config, distill_stage
 from dwgs.cli.films import film_stage
 from dwgs.cli.generate import generate_stage
 from dwgs.cli.options import ClipOptions, PlacementOptions, VehicleOptions, author_insertion
@@ -68,7 +68,7 @@ class Insert:
         before = background_folder.fingerprint(self.out / "background")
         source = {"edited": stages["generate"].key, "background": before}
         stages["distill"] = distill_stage(
-            edited, background, insertion, source, self.out / "asset", self.distill_steps, self.seed
+            edited, background, insertion, source, self.out / "asset", distill_config(self.distill_steps, self.seed)
         )
         unchanged = before == background_folder.fingerprint(self.out / "background")
         asset = asset_folder.read(self.out / "asset")

@@ -1,7 +1,7 @@
 """The loop: a vehicle is learnt while everything around it stands still."""
 
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 
@@ -22,12 +22,15 @@ from dwgs.optimize import (
     Event,
     Grown,
     Step,
+    count_steps,
     dssim,
+    fill_time,
     hold_then_decay,
     view_order,
     weighted_l1,
     weighted_mse,
 )
+from dwgs.optimize.schedule import Pace
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, VehicleAsset
 from dwgs.splat import Splats, project
 
@@ -52,8 +55,8 @@ def distill(
     frame shows the vehicle, or where a generated clip outlasts the trajectory.
     """
     config = config or DistillConfig()
-    if config.steps < 1 or config.gaussians < 1:
-        raise InputError(f"a distillation has at least one step and one Gaussian, got {config}")
+    if config.steps < 1 or config.gaussians < 1 or (config.seconds is not None and not config.seconds > 0):
+        raise InputError(f"a distillation has at least one step and one Gaussian, and some time, got {config}")
     started = time.monotonic()
     frozen = FrozenBackground(background, scene.all_frames()) if isinstance(background, Background) else background
     before = frozen.fingerprint()
@@ -75,7 +78,16 @@ def distill(
     prepared = time.monotonic()
 
     poses = BoxPoses(len(shots)) if recipe.refines_poses else None
-    yield from _fit(shots, parts, poses, recipe, config)
+    if config.seconds is None:
+        schedule = count_steps(config.steps)
+    elif prepared - started < config.seconds:
+        schedule = fill_time(config.seconds - (prepared - started))
+    else:
+        raise InputError(
+            f"preparing {len(shots)} frames took {prepared - started:.1f} s of the {config.seconds:g} s given; "
+            "give more, or fewer frames"
+        )
+    steps = yield from _fit(shots, parts, poses, recipe, config, schedule)
     body, shadow = (part.finish() for part in parts)
     if poses is not None:
         times = np.array([shot.sight.frame.camera.time for shot in shots])
@@ -83,14 +95,14 @@ def distill(
     fitted = time.monotonic()
 
     report = _evaluate(shots, body, shadow, poses, config.threads)
-    yield Evaluated(config.steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
+    yield Evaluated(steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
     report |= _coverage(sights, insertion)
     report |= {
         "kind": "generated" if is_generated else "recorded",
         "gaussians": len(body) + len(shadow),
         "gaussians_body": len(body),
         "gaussians_shadow": len(shadow),
-        "steps": config.steps,
+        "steps": steps,
         "seconds": {
             "prepare": round(prepared - started, 2),
             "fit": round(fitted - prepared, 2),
@@ -106,14 +118,20 @@ def distill(
 
 
 def _fit(
-    shots: list[Shot], parts: list[Part], poses: BoxPoses | None, recipe: Recipe, config: DistillConfig
-) -> Generator[Event, None, None]:
-    """Run the schedule."""
+    shots: list[Shot],
+    parts: list[Part],
+    poses: BoxPoses | None,
+    recipe: Recipe,
+    config: DistillConfig,
+    schedule: Iterator[Pace],
+) -> Generator[Event, None, int]:
+    """Run the schedule; gives how many steps it had."""
     learnt = [i for i, shot in enumerate(shots) if not shot.sight.held_out]
     squared_errors: dict[int, float] = {}
     order = view_order(len(learnt), config.seed)
-    for step in range(1, config.steps + 1):
-        i = learnt[next(order)]
+    step = 0
+    for pace in schedule:
+        step, i = pace.step, learnt[next(order)]
         shot = shots[i]
         view = shot.view
         if poses is not None and step > len(learnt):
@@ -124,12 +142,13 @@ def _fit(
         if shot.lidar is not None and config.lidar_weight > 0:
             loss = loss + config.lidar_weight * shot.lidar.error(rendering)
         loss.backward()
-        factor = hold_then_decay(step, config.steps, recipe.hold, recipe.final)
+        factor = hold_then_decay(pace.progress, recipe.hold, recipe.final)
         for part in parts:
-            part.step(factor, is_averaged=step > (1 - TAIL) * config.steps)
+            part.step(factor, is_averaged=pace.progress > 1 - TAIL)
         if poses is not None and view is not shot.view:
             poses.step(factor)
-        yield Step(step, config.steps, loss.item())
+        yield Step(step, pace.steps, loss.item())
+    return step
 
 
 def _photometric(rgb: Tensor, shot: Shot, recipe: Recipe, squared_errors: dict[int, float], i: int) -> Tensor:

@@ -17,6 +17,7 @@ from dwgs.optimize import (
     Grown,
     Preparing,
     Step,
+    count_steps,
     dssim,
     hold_then_decay,
     view_order,
@@ -90,12 +91,12 @@ def reconstruct(scene: Scene, config: ReconstructConfig) -> Generator[Event, Non
     generator = torch.Generator().manual_seed(config.seed)
     order = view_order(len(views), config.seed)
     growths = [round(part * config.steps) for part in GROWTH]
-    for step in range(1, config.steps + 1):
-        i = next(order)
+    for pace in count_steps(config.steps):
+        step, i = pace.step, next(order)
         view = views[i].halved() if step <= COARSE * config.steps else views[i]
         loss = _loss(street, i, view, config.threads)
         loss.backward()
-        street.step(hold_then_decay(step, config.steps))
+        street.step(hold_then_decay(pace.progress))
         yield Step(step, config.steps, float(loss.detach()))
         if step in growths:
             street.grow(_seedlings(street, views, config.grown, generator, config.threads))

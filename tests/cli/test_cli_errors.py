@@ -64,6 +64,11 @@ def test_a_vehicle_behind_the_camera_in_every_frame(refused):
     assert "behind" in refused("insert", "street", "--vehicle", "street", "--ahead", "-40", *TOY)
 
 
+def test_a_schedule_of_both_steps_and_seconds(refused, tmp_path):
+    given = ("--track", "parked-00", "--background", str(tmp_path), "--steps", "9", "--seconds", "9")
+    assert "--seconds" in refused("distill", "street", *given, *TOY)
+
+
 @pytest.mark.parametrize("frames", ["8-3", "all", "3", "-1-4"])
 def test_frames_that_are_not_there(refused, frames):
     assert refused("insert", "street", "--vehicle", "street", "--frames", frames, "--size", "96x64")

@@ -69,6 +69,19 @@ def test_held_out_frames_teach_nothing(toy, quick):
     assert same(asset.gaussians, quick[1].gaussians)
 
 
+def test_a_schedule_made_for_seconds_fills_them(toy):
+    _, asset, report = run(toy.scene(), toy.background, toy.insertion, replace(QUICK, seconds=3.0))
+    assert 1 < report["steps"] != QUICK.steps
+    assert report["seconds"]["prepare"] + report["seconds"]["fit"] == pytest.approx(3, abs=1)
+    assert len(asset.body) > 0
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), 1e-6])
+def test_no_time_to_fit_is_refused(toy, seconds):
+    with pytest.raises(InputError, match="time|seconds|given"):
+        run(toy.scene(), toy.background, toy.insertion, replace(QUICK, seconds=seconds))
+
+
 def sweeps_through(toy, depth_inside):
     """A return through every pixel of every frame, at ``depth_inside`` [m] within the reactive mask."""
     for frame in toy.scene().frames["front"]:

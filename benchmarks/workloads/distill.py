@@ -1,0 +1,46 @@
+"""Quality over time: what a distillation reaches in the seconds it is given, against what it converges to.
+
+The embedded street with the true vehicle in it, before the street as it was recorded. Each schedule is made for its time,
+which decoding and the layers of the background are part of; judging the result is not.
+"""
+
+import os
+from collections.abc import Sequence
+
+from rich.progress import Progress
+
+from benchmarks.metric import Metric
+from benchmarks.workloads.oracle import ExactBackground, follow
+from dwgs.distill import DistillConfig, distill
+from dwgs.street import build_street
+
+
+def run(frames: int, seconds: Sequence[float], reference_steps: int) -> list[Metric]:
+    """Distil once for each of the times, and once to convergence."""
+    street = build_street(frames=frames)
+    insertion = street.insertion()
+    scene = street.oracle(insertion)
+    with Progress() as progress:
+        task = progress.add_task("record", total=frames)
+        street.render_all(lambda done, total: progress.update(task, completed=done))
+        exact = ExactBackground(street)
+
+        def reach(config: DistillConfig, title: str) -> dict:
+            return follow(distill(scene, exact, insertion, config), progress, title)[1]
+
+        short = {time: reach(DistillConfig(seconds=time), f"{time:g} s") for time in seconds}
+        loads = os.getloadavg()[0]
+        converged = reach(DistillConfig(steps=reference_steps), f"{reference_steps:,} steps")
+    metrics = [
+        Metric("distill.street.psnr_converged", converged["psnr_roi_heldout"], "dB"),
+        Metric("distill.street.seconds_converged", converged["seconds"]["prepare"] + converged["seconds"]["fit"], "s"),
+        Metric("distill.street.load", loads, ""),
+    ]
+    for time, report in short.items():
+        gap = converged["psnr_roi_heldout"] - report["psnr_roi_heldout"]
+        metrics += [
+            Metric(f"distill.street.gap_db_at_{time:g}s", gap, "dB"),
+            Metric(f"distill.street.steps_at_{time:g}s", report["steps"], ""),
+            Metric(f"distill.street.prepare_at_{time:g}s", report["seconds"]["prepare"], "s"),
+        ]
+    return metrics
