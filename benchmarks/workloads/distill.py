@@ -1,7 +1,7 @@
 """Quality over time: what a distillation reaches in the seconds it is given, against what it converges to.
 
-The embedded street with the true vehicle in it, before the street as it was recorded. Each schedule is made for its time,
-which decoding and the layers of the background are part of; judging the result is not.
+The embedded street with the true vehicle in it, before the street as it was recorded. Each schedule is made for its
+time, which decoding and the layers of the background are part of; judging the result is not.
 """
 
 import os

@@ -33,7 +33,7 @@ class Insert:
     generator: str = "composite"
     """Backend that makes the pixels."""
     draft: bool = False
-    """Reconstruct the background with half the Gaussians and a fifth of the steps."""
+    """Reconstruct the background with half the Gaussians and a tenth of the steps."""
     distill_steps: int | None = None
     """Steps of the vehicle's optimiser; by default what suits the video."""
     seed: int = 0

@@ -20,7 +20,7 @@ class Reconstruct:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the background."""
     draft: bool = False
-    """Half the Gaussians and a fifth of the steps."""
+    """Half the Gaussians and a tenth of the steps."""
     seed: int = 0
     """Of everything random."""
 

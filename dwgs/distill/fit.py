@@ -4,6 +4,7 @@ import time
 from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from functools import partial
 
 import numpy as np
 import torch
@@ -74,10 +75,19 @@ def distill(
 
     bounds = np.stack([part.bounds for part in parts])
     bounds = np.stack([bounds[:, 0].min(0), bounds[:, 1].max(0)])
-    shots = yield from prepare_shots(sights, scene, frozen, insertion, bounds, config.threads)
+    prepare = partial(
+        prepare_shots,
+        scene=scene,
+        background=frozen,
+        insertion=insertion,
+        bounds=bounds,
+        threads=config.threads,
+    )
+    learnt = [i for i, sight in enumerate(sights) if not sight.held_out]
+    shots = dict(zip(learnt, (yield from prepare([sights[i] for i in learnt])), strict=True))
     prepared = time.monotonic()
 
-    poses = BoxPoses(len(shots)) if recipe.refines_poses else None
+    poses = BoxPoses(len(sights)) if recipe.refines_poses else None
     if config.seconds is None:
         schedule = count_steps(config.steps)
     elif prepared - started < config.seconds:
@@ -90,11 +100,13 @@ def distill(
     steps = yield from _fit(shots, parts, poses, recipe, config, schedule)
     body, shadow = (part.finish() for part in parts)
     if poses is not None:
-        times = np.array([shot.sight.frame.camera.time for shot in shots])
-        poses.interpolate(times, np.array([not shot.sight.held_out for shot in shots]))
+        times = np.array([sight.frame.camera.time for sight in sights])
+        poses.interpolate(times, np.array([not sight.held_out for sight in sights]))
     fitted = time.monotonic()
 
-    report = _evaluate(shots, body, shadow, poses, config.threads)
+    judged = [i for i, sight in enumerate(sights) if sight.held_out]
+    shots |= dict(zip(judged, (yield from prepare([sights[i] for i in judged])), strict=True))
+    report = _evaluate([shots[i] for i in range(len(sights))], body, shadow, poses, config.threads)
     yield Evaluated(steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
     report |= _coverage(sights, insertion)
     report |= {
@@ -118,15 +130,15 @@ def distill(
 
 
 def _fit(
-    shots: list[Shot],
+    shots: dict[int, Shot],
     parts: list[Part],
     poses: BoxPoses | None,
     recipe: Recipe,
     config: DistillConfig,
     schedule: Iterator[Pace],
 ) -> Generator[Event, None, int]:
-    """Run the schedule; gives how many steps it had."""
-    learnt = [i for i, shot in enumerate(shots) if not shot.sight.held_out]
+    """Run the schedule on ``shots`` by their number among all; gives how many steps it had."""
+    learnt = list(shots)
     squared_errors: dict[int, float] = {}
     order = view_order(len(learnt), config.seed)
     step = 0

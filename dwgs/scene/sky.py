@@ -26,9 +26,14 @@ def sky_colors(sky: NDArray[np.float32], directions: NDArray) -> NDArray[np.floa
     height, width = sky.shape[:2]
     uv = sky_coordinates(directions)
     column, row = uv[..., 0] * width - 0.5, np.clip(uv[..., 1] * height - 0.5, 0, height - 1)
-    left, top = np.floor(column).astype(int), np.floor(row).astype(int)
-    right_share, bottom_share = (column - left)[..., None], (row - top)[..., None]
+    left, top = np.floor(column).astype(np.int32), np.floor(row).astype(np.int32)
+    right_share, bottom_share = ((a - b).astype(np.float32)[..., None] for a, b in ((column, left), (row, top)))
     left, right, bottom = left % width, (left + 1) % width, np.minimum(top + 1, height - 1)
-    upper = sky[top, left] * (1 - right_share) + sky[top, right] * right_share
-    lower = sky[bottom, left] * (1 - right_share) + sky[bottom, right] * right_share
-    return (upper * (1 - bottom_share) + lower * bottom_share).astype(np.float32)
+    colors = sky.reshape(-1, sky.shape[2])  # taken by one index, not by two: half the time
+
+    def between(row: NDArray[np.int32]) -> NDArray[np.float32]:
+        first, second = colors.take(row * width + left, 0), colors.take(row * width + right, 0)
+        return first + right_share * (second - first)
+
+    upper = between(top)
+    return upper + bottom_share * (between(bottom) - upper)

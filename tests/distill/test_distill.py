@@ -78,7 +78,7 @@ def test_a_schedule_made_for_seconds_fills_them(toy):
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), 1e-6])
 def test_no_time_to_fit_is_refused(toy, seconds):
-    with pytest.raises(InputError, match="time|seconds|given"):
+    with pytest.raises(InputError, match=r"time|seconds|given"):
         run(toy.scene(), toy.background, toy.insertion, replace(QUICK, seconds=seconds))
 
 
