@@ -4,6 +4,7 @@ The oracle renders the true vehicle with its true light, so nothing here is the 
 """
 
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import torch
@@ -62,6 +63,8 @@ class ExactBackground:
 
     def __init__(self, street: Street) -> None:
         self._street = street
+        with ThreadPoolExecutor(2) as pool:
+            self._depths = list(pool.map(street.depth, range(street.frames)))
         self._index_from_time = {street.camera(i).time: i for i in range(street.frames)}
 
     def camera(self, frame: Frame) -> Camera:
@@ -75,7 +78,7 @@ class ExactBackground:
         x, y = np.rint((whole.K - camera.K)[:2, 2]).astype(int)
         window = np.s_[y : y + camera.height, x : x + camera.width]
         rgb = torch.from_numpy(self._street.pixels(index)[window].astype(np.float32) / 255)
-        depth = torch.from_numpy(self._street.depth(index)[window])
+        depth = torch.from_numpy(self._depths[index][window])
         before = (depth < interval[0]).float()
         depth = depth.nan_to_num(posinf=0)
         front = rgb * before[..., None], depth * before, 1 - before
