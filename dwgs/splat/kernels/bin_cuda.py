@@ -130,7 +130,7 @@ def deal(
             isect += 1
 
 
-@wp.func_native(f"""
+SORT = f"""
     const int end = tile_ends.data[tile], begin = tile ? tile_ends.data[tile - 1] : 0, count = end - begin;
     unsigned long long* const own = (unsigned long long*)keys.data + begin;
     if (thread == 0) ranges.data[tile] = wp::vec_t<2, int>(begin, end);
@@ -192,7 +192,11 @@ def deal(
     }}
     for (int k = 0; k < count; ++k) isects.data[begin + k] = (int)(own[k] & 0xffffffffull);
     #endif
-""")
+"""
+"""Of one tile; `tests/splat/test_sort_of_a_tile.py` runs it on threads that play a block."""
+
+
+@wp.func_native(SORT)
 def sort_tile(
     tile: int,
     thread: int,
