@@ -37,6 +37,7 @@ def run(frames: int, seconds: Sequence[float], reference_steps: int) -> list[Met
         converged = reach(DistillConfig(steps=reference_steps), f"{reference_steps:,} steps")
     metrics = [
         Metric("distill.street.psnr_converged", converged["psnr_roi_heldout"], "dB"),
+        Metric("distill.street.steps_converged", converged["steps"], ""),
         Metric("distill.street.seconds_converged", converged["seconds"]["prepare"] + converged["seconds"]["fit"], "s"),
         Metric("distill.street.load", loads, ""),
     ]

@@ -90,7 +90,9 @@ SCENES: dict[str, Callable[[], tuple[Splats, View]]] = {
 def run(scenes: Sequence[str], torch_scenes: Sequence[str], devices: Sequence[str], repeats: int) -> list[Metric]:
     """Time and memory of each scene on each device; torch is a rival in ``torch_scenes`` only."""
     metrics = run_on_cpu(scenes, torch_scenes, repeats) if "cpu" in devices else []
-    if "cuda" in devices and torch.cuda.is_available():
+    if "cuda" in devices and not torch.cuda.is_available():
+        Console(stderr=True).print("no CUDA device: nothing is measured on a GPU")
+    elif "cuda" in devices:
         from benchmarks.workloads import splat_cuda
 
         for name in scenes:

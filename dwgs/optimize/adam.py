@@ -112,8 +112,8 @@ class _OnCuda:
         in_clock, device = wp.from_torch(clock), wp.device_from_torch(clock.device)
         inputs = [*self._groups.values(), in_clock, wp.from_torch(self._stills), *betas]
         with torch_stream(clock.device):
-            wp.launch(adam_cuda.tick, 1, [in_clock, *betas], device=device)
-            wp.launch(adam_cuda.adam, count, inputs, device=device)
+            wp.launch(adam_cuda.tick, 1, [in_clock, *betas], device=device, record_tape=False)
+            wp.launch(adam_cuda.adam, count, inputs, device=device, record_tape=False)
 
 
 def _fill(struct: Any, group: Group) -> Any:

@@ -4,6 +4,7 @@ A gradient flows to the first image alone. Float32 takes one pass forward and on
 anything else takes torch's many.
 """
 
+from functools import partial
 from typing import Any
 
 import torch
@@ -62,12 +63,11 @@ class _Error(torch.autograd.Function):
         v_rgb, sums = rgb.new_empty(3, *weight.shape), rgb.new_empty(len(weight), 2)
         inputs = [*_images(rgb, target, weight), int(squared), wp.from_torch(v_rgb), wp.from_torch(sums, dtype=wp.vec2)]
         if rgb.is_cuda:
-            loss, block, device = rgb.new_empty(2), photometric_cuda.BLOCK, wp.device_from_torch(rgb.device)
+            loss, block = rgb.new_empty(2), photometric_cuda.BLOCK
+            run = partial(wp.launch, device=wp.device_from_torch(rgb.device), block_dim=block, record_tape=False)
             with torch_stream(rgb.device):
-                wp.launch(photometric_cuda.error, block * len(sums), inputs, device=device, block_dim=block)
-                wp.launch(
-                    photometric_cuda.mean, block, [inputs[-1], wp.from_torch(loss)], device=device, block_dim=block
-                )
+                run(photometric_cuda.error, block * len(sums), inputs)
+                run(photometric_cuda.mean, block, [inputs[-1], wp.from_torch(loss)])
             mean, share = loss
         else:
             _run(photometric_cpu.error, len(sums), inputs)

@@ -8,7 +8,8 @@ the same bytes every time. The adjoint walks a crowded tile in segments, a block
 kept of its pixels.
 
 The same text runs on a CPU, every pixel being a block, a warp and a lane by itself: slow, but a witness for
-everything but the exchange between threads. Launched over tiles x `BLOCK` threads, ``block_dim=BLOCK``.
+everything but the exchange between threads. Launched over tiles (segments in the adjoint) x `BLOCK` threads,
+``block_dim=BLOCK``.
 """
 
 import warp as wp
