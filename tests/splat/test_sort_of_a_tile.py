@@ -16,7 +16,6 @@ BLOCK = """
 #include <thread>
 #include <vector>
 
-namespace wp { template <int N, class T> struct vec_t { T v[N]; vec_t(T a = 0, T b = 0) : v{a, b} {} }; }
 template <class T> struct array { T* data; };
 typedef unsigned long long u64;
 
@@ -36,8 +35,7 @@ u64 __shfl_xor_sync(unsigned, u64 value, int other) {
 
 #define __CUDA_ARCH__
 #define __shared__ static
-void sort_tile(int tile, int thread, array<int> tile_ends, array<u64> keys, array<u64> spare_keys, array<int> isects,
-               array<wp::vec_t<2, int>> ranges) {
+void sort_tile(int tile, int thread, array<int> tile_ends, array<u64> keys, array<u64> spare_keys, array<int> isects) {
 SORT
 }
 
@@ -52,15 +50,14 @@ int main(int, char** arguments) {
     for (int i = 0; i < count; ++i) keys[begin + i] = random() % 50 << 32 | order[i];
     std::vector<u64> sorted(keys.begin() + begin, keys.begin() + begin + count);
     std::sort(sorted.begin(), sorted.end());
-    std::vector<wp::vec_t<2, int>> ranges(2);
     std::vector<std::thread> sorters;
     for (int i = 0; i < threads; ++i)
         sorters.emplace_back([&, i] {
             own = i;
-            sort_tile(1, i, {tile_ends.data()}, {keys.data()}, {spare.data()}, {isects.data()}, {ranges.data()});
+            sort_tile(1, i, {tile_ends.data()}, {keys.data()}, {spare.data()}, {isects.data()});
         });
     for (auto& sorter : sorters) sorter.join();
-    bool is_right = ranges[1].v[0] == begin && ranges[1].v[1] == begin + count;
+    bool is_right = true;
     for (int i = 0; i < room; ++i) {
         const bool is_inside = i >= begin && i < begin + count;
         is_right &= isects[i] == (is_inside ? (int)(sorted[i - begin] & 0xffffffff) : -1);

@@ -3,6 +3,9 @@
 
 What a tile is sorted by is unique, depth before number, so that the order it was dealt in leaves no trace. A block
 sorts one tile: its warps sort runs, which it merges, every key finding its place in the run beside its own.
+
+Blocks take the tiles that have something first: a GPU gives its multiprocessors one block each before it gives any of
+them a second, so that work which lies close together in the image does not lie on a few of them.
 """
 
 from math import log
@@ -15,6 +18,8 @@ from dwgs.splat.kernels.project import record16
 
 wp.set_module_options({"enable_backward": False})
 
+DEALERS = 4
+"""Threads that deal one Gaussian: to wait for a tile's counter takes long, and a Gaussian can have many tiles."""
 SORTERS = 256
 """Threads that sort a tile."""
 _ROOM = 2816
@@ -35,6 +40,13 @@ def tiles_touched(records: wp.array(dtype=record16), i: int, per_view: int, tile
 def size_of(area: wp.vec4i) -> int:
     """Number of tiles."""
     return (area[1] - area[0]) * (area[3] - area[2])
+
+
+@wp.func
+def tile_of(area: wp.vec4i, k: int) -> wp.vec2i:
+    """Column and row of one of so many."""
+    width = area[1] - area[0]
+    return wp.vec2i(area[0] + k % width, area[2] + k / width)
 
 
 @wp.kernel
@@ -61,19 +73,23 @@ def tally(
     # outputs
     sizes: wp.array(dtype=int),
     places: wp.array(dtype=int),
+    listed: wp.array(dtype=int),
+    tile_from_block: wp.array(dtype=int),
 ):
     """How many intersections each tile has, of those for which there is room, and a place in it for each.
 
-    ``sizes`` starts as zeros.
+    Tiles that have any are listed, and their number is; it and ``sizes`` start as zeros.
     """
-    i = wp.tid()
+    i = wp.tid() / wp.static(DEALERS)
     area = areas[i]
-    isect = ends[i] - size_of(area)
-    for row in range(area[2], area[3]):
-        for column in range(area[0], area[1]):
-            if isect < places.shape[0]:
-                places[isect] = wp.atomic_add(sizes, row * tiles[0] + column, 1)
-            isect += 1
+    first = ends[i] - size_of(area)
+    for k in range(wp.tid() % wp.static(DEALERS), wp.min(size_of(area), places.shape[0] - first), wp.static(DEALERS)):
+        at = tile_of(area, k)
+        tile = at[1] * tiles[0] + at[0]
+        place = wp.atomic_add(sizes, tile, 1)
+        places[first + k] = place
+        if place == 0:
+            tile_from_block[wp.atomic_add(listed, 0, 1)] = tile
 
 
 @wp.func_native(f"""
@@ -116,24 +132,22 @@ def deal(
 
     Depths are positive: their bits are in the order of their values.
     """
-    i = wp.tid()
+    i = wp.tid() / wp.static(DEALERS)
     area = areas[i]
-    isect = ends[i] - size_of(area)
+    first = ends[i] - size_of(area)
     depth = wp.uint64(wp.cast(records[i][9], wp.uint32)) << wp.uint64(32)
-    for row in range(area[2], area[3]):
-        for column in range(area[0], area[1]):
-            if isect < places.shape[0]:
-                tile = row * tiles[0] + column
-                keys[tile_ends[tile] - sizes[tile] + places[isect]] = depth | wp.uint64(isect)
-                gaussian_from_isect[isect] = i
-                reached_from_isect[isect] = warps_reached(records[i], column * TILE, row % tiles[1] * TILE)
-            isect += 1
+    for k in range(wp.tid() % wp.static(DEALERS), wp.min(size_of(area), places.shape[0] - first), wp.static(DEALERS)):
+        isect = first + k
+        at = tile_of(area, k)
+        tile = at[1] * tiles[0] + at[0]
+        keys[tile_ends[tile] - sizes[tile] + places[isect]] = depth | wp.uint64(isect)
+        gaussian_from_isect[isect] = i
+        reached_from_isect[isect] = warps_reached(records[i], at[0] * TILE, at[1] % tiles[1] * TILE)
 
 
 SORT = f"""
     const int end = tile_ends.data[tile], begin = tile ? tile_ends.data[tile - 1] : 0, count = end - begin;
     unsigned long long* const own = (unsigned long long*)keys.data + begin;
-    if (thread == 0) ranges.data[tile] = wp::vec_t<2, int>(begin, end);
     #if defined(__CUDA_ARCH__)
     __shared__ unsigned long long shared[2][{_ROOM}];
     const int lane = thread % 32;
@@ -204,7 +218,6 @@ def sort_tile(
     keys: wp.array(dtype=wp.uint64),
     spare_keys: wp.array(dtype=wp.uint64),
     isects: wp.array(dtype=int),
-    ranges: wp.array(dtype=wp.vec2i),
 ):
     """Sort the keys of a tile by all threads of a block, or by one thread on a CPU."""
 
@@ -218,6 +231,21 @@ def sort(
     # outputs
     isect_from_sorted: wp.array(dtype=int),
     ranges: wp.array(dtype=wp.vec2i),
+    listed: wp.array(dtype=int),
+    tile_from_block: wp.array(dtype=int),
 ):
-    """Put every tile in order, by so many ``sorters`` each, and say where it lies."""
-    sort_tile(wp.tid() / sorters, wp.tid() % sorters, tile_ends, keys, spare_keys, isect_from_sorted, ranges)
+    """Put every tile in order, by so many ``sorters`` each, and say where it lies; list those without anything, too.
+
+    From the end: of them ``listed`` has the number after that of the others.
+    """
+    block = wp.tid() / sorters
+    thread = wp.tid() % sorters
+    if thread == 0:
+        begin = int(0)  # noqa: RUF046, UP018  (a variable, not a constant)
+        if block > 0:
+            begin = tile_ends[block - 1]
+        ranges[block] = wp.vec2i(begin, tile_ends[block])
+        if begin == tile_ends[block]:
+            tile_from_block[tile_ends.shape[0] - 1 - wp.atomic_add(listed, 1, 1)] = block
+    if block < listed[0]:
+        sort_tile(tile_from_block[block], thread, tile_ends, keys, spare_keys, isect_from_sorted)

@@ -423,17 +423,7 @@ def composite_adjoint(
     while span >= 0:
         for i in range(span * GATHERED, wp.min((span + 1) * GATHERED, ends.shape[0])):
             sum_slots(
-                i,
-                slots,
-                feature_slots,
-                ends,
-                1,
-                1,
-                canvas.gaussians,
-                trainable,
-                canvas.features,
-                v_records,
-                v_features,
+                i, slots, feature_slots, ends, canvas.gaussians, trainable, canvas.features, v_records, v_features
             )
         span = take(crew, 1, span)
     close_phase(crew, 1, boss)

@@ -1,11 +1,11 @@
 # type: ignore  (Warp's language, which is not Python's)
 """The two compositing loops on a GPU: one block per 16x16 tile, one warp per 8x4 pixels of it, one thread per pixel.
 
-A block carries the Gaussians of its tile into shared memory, batch by batch, the next on its way while one is drawn;
-a warp draws those that reach its pixels, which `bin_cuda` found out. In the adjoint a warp sums its pixels' gradients
-by halves, so that twelve shuffles do for ten numbers, and the block sums those of its warps in order: no atomics, and
-the same bytes every time. The adjoint walks a crowded tile in segments, a block each, from states that the first pass
-kept of its pixels.
+A block carries the Gaussians of its tile into shared memory, batch by batch, the next on their way while one is drawn;
+a warp lists those that reach its pixels, which `bin_cuda` found out, and draws them. In the adjoint a warp sums its
+pixels' gradients by halves, so that twelve shuffles do for ten numbers, and the block sums those of its warps in order:
+no atomics, and the same bytes every time. The adjoint walks a crowded tile in segments, a block each, from states that
+the first pass kept of its pixels.
 
 The same text runs on a CPU, every pixel being a block, a warp and a lane by itself: slow, but a witness for
 everything but the exchange between threads. Launched over tiles (segments in the adjoint) x `BLOCK` threads,
@@ -29,8 +29,8 @@ WARPS = BLOCK // 32
 PARTS, FEATURE_PARTS = 1, WARPS
 """Gradients of records and of features per intersection."""
 BATCH = 64
-"""Gaussians in shared memory at once in the adjoint; `BLOCK` in the first pass. 32 lanes at a time ask for them."""
-AT_ONCE = 4
+"""Gaussians in shared memory at once in the adjoint; `SEGMENT` in the first pass."""
+AT_ONCE = 8
 """Gaussians that the first pass draws at once: their alphas need not wait for each other."""
 SEGMENT = 128
 """Intersections of a tile after which the state of its pixels is kept, so that the adjoint can begin there."""
@@ -44,6 +44,7 @@ def _prelude(batch: int) -> str:
     #if defined(__CUDA_ARCH__)
     const int lanes = 32, lane = threadIdx.x % 32;
     auto ballot = [](bool x) -> unsigned {{ return __ballot_sync(~0u, x); }};
+    auto ones = [](unsigned x) -> int {{ return __popc(x); }};
     auto exponential = [](float x) -> float {{
         float y;
         asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x * 1.44269504f));
@@ -53,6 +54,7 @@ def _prelude(batch: int) -> str:
     #else
     const int lanes = 1, lane = 0;
     auto ballot = [](bool x) -> unsigned {{ return x; }};
+    auto ones = [](unsigned x) -> int {{ return __builtin_popcount(x); }};
     auto exponential = [](float x) -> float {{ return wp::exp(x); }};
     auto over = [](float x, float y) -> float {{ return x / y; }};
     #endif
@@ -78,64 +80,84 @@ def _prelude(batch: int) -> str:
     }};
     float T = layered ? front[4 * plane] : column < canvas.width && row < canvas.height ? 1.0f : 0.0f;
 
-    // x, y, conic | conic, opacity, colour | colour, depth
+    // x, y, conic | conic, opacity, colour | colour, depth; after the last of a batch comes nobody, who is transparent
     struct alignas(16) Row {{ float a, b, c, d; }};
     #if defined(__CUDA_ARCH__)
-    __shared__ Row batch[{batch}][3];
-    __shared__ int isects[{batch}], gaussians[{batch}], reached[{batch}];
+    __shared__ Row batches[2][{batch} + 1][3];
+    __shared__ int isects[2][{batch}], gaussians[2][{batch} + 1], reached[2][{batch}];
+    __shared__ unsigned lists[{WARPS}][({batch} + {AT_ONCE} + 3) / 4];
+    unsigned char* const list = (unsigned char*)lists[warp];
+    if (threadIdx.x < 2) {{
+        for (int part = 0; part < 3; ++part) batches[threadIdx.x][{batch}][part] = Row{{}};
+        gaussians[threadIdx.x][{batch}] = before;
+    }}
+    // one batch behind the other: which intersections, who that is, and their rows
     const int loaded = threadIdx.x / {loaders}, row_loaded = threadIdx.x % {loaders} * {rows};
-    int next_isect = 0, next_gaussian = 0, next_reached = 0, own_isect = 0, own_gaussian = 0, own_reached = 0;
+    int later_isect = 0, next_isect = 0, next_gaussian = 0, next_reached = 0;
+    int own_isect = 0, own_gaussian = 0, own_reached = 0, side = 0;
     Row own[{rows}] = {{}};
-    auto ask = [&](int begin) -> void {{  // for whom to load
-        if (loaded >= {batch} || begin + loaded >= end) return;
-        next_isect = bins.isect_from_sorted.data[begin + loaded];
-        next_gaussian = bins.gaussian_from_isect.data[next_isect];
-        next_reached = reached_from_isect.data[next_isect];
-    }};
-    auto fetch = [&](int begin) -> void {{
+    auto has_one = [&](int begin) -> bool {{ return loaded < {batch} && begin >= first && begin + loaded < end; }};
+    auto fetch = [&](int begin) -> void {{  // what is stored after this batch
         own_isect = next_isect, own_gaussian = next_gaussian, own_reached = next_reached;
-        if (loaded >= {batch} || begin + loaded >= end) return;
-        for (int i = 0; i < {rows}; ++i) own[i] = ((const Row*)(records.data + own_gaussian))[row_loaded + i];
-    }};
-    ask(first);
-    fetch(first);
-    ask(first + {batch});
-    auto load = [&](int begin) -> void {{
-        __syncthreads();  // nobody reads the last batch any more
-        if (loaded < {batch}) {{
-            for (int i = 0; i < {rows}; ++i) batch[loaded][row_loaded + i] = own[i];
-            isects[loaded] = own_isect, gaussians[loaded] = own_gaussian, reached[loaded] = own_reached;
+        if (has_one(begin + {batch}))
+            for (int i = 0; i < {rows}; ++i) own[i] = ((const Row*)(records.data + own_gaussian))[row_loaded + i];
+        next_isect = later_isect;
+        if (has_one(begin + 2 * {batch})) {{
+            next_gaussian = bins.gaussian_from_isect.data[next_isect];
+            next_reached = reached_from_isect.data[next_isect];
         }}
-        __syncthreads();
-        fetch(begin + {batch});
-        ask(begin + 2 * {batch});
+        if (has_one(begin + 3 * {batch})) later_isect = bins.isect_from_sorted.data[begin + 3 * {batch} + loaded];
     }};
-    auto all_threads = [](bool x) -> bool {{ return __syncthreads_and(x); }};
-    auto isect_of = [&](int k) -> int {{ return isects[k]; }};
-    auto gaussian_of = [&](int k) -> int {{ return gaussians[k]; }};
-    auto is_reached = [&](int k) -> bool {{ return reached[k] >> warp & 1; }};
-    auto row_of = [&](int k, int part) -> Row {{ return batch[k][part]; }};
+    for (int ahead = 3; ahead > 0; --ahead) fetch(first - ahead * {batch});
+    auto load = [&](int begin) -> bool {{  // whether anybody still sees it
+        side = 1 - side;  // others may be reading that which came before
+        if (loaded < {batch}) {{
+            for (int i = 0; i < {rows}; ++i) batches[side][loaded][row_loaded + i] = own[i];
+            isects[side][loaded] = own_isect, gaussians[side][loaded] = own_gaussian;
+            reached[side][loaded] = own_reached;
+        }}
+        if (__syncthreads_and(T < {constants.STOP_TRANSMITTANCE}f)) return false;
+        fetch(begin);
+        return true;
+    }};
+    auto isect_of = [&](int k) -> int {{ return isects[side][k]; }};
+    auto gaussian_of = [&](int k) -> int {{ return gaussians[side][k]; }};
+    auto is_reached = [&](int k) -> bool {{ return reached[side][k] >> warp & 1; }};
+    auto row_of = [&](int k, int part) -> Row {{ return batches[side][k][part]; }};
     #else
     int begun = first;
-    auto load = [&](int begin) -> void {{ begun = begin; }};
-    auto all_threads = [](bool) -> bool {{ return false; }};  // who knows? Every pixel is to keep its states
+    alignas(4) unsigned char list[{batch} + {AT_ONCE}];
+    auto load = [&](int begin) -> bool {{
+        begun = begin;
+        return true;  // who knows of the others? Every pixel is to keep its states
+    }};
     auto isect_of = [&](int k) -> int {{ return bins.isect_from_sorted.data[begun + k]; }};
-    auto gaussian_of = [&](int k) -> int {{ return bins.gaussian_from_isect.data[isect_of(k)]; }};
+    auto gaussian_of = [&](int k) -> int {{
+        return k < {batch} ? bins.gaussian_from_isect.data[isect_of(k)] : before;
+    }};
     auto is_reached = [&](int k) -> bool {{ return reached_from_isect.data[isect_of(k)] >> warp & 1; }};
-    auto row_of = [&](int k, int part) -> Row {{ return ((const Row*)(records.data + gaussian_of(k)))[part]; }};
+    auto row_of = [&](int k, int part) -> Row {{
+        return k < {batch} ? ((const Row*)(records.data + gaussian_of(k)))[part] : Row{{}};
+    }};
     #endif
+    auto list_hits = [&](int count) -> int {{  // whom of the batch the warp draws, and nobody a few times
+        int hits = 0;
+        if (!ballot(T >= {constants.STOP_TRANSMITTANCE}f)) return hits;
+        for (int some = 0; some < count; some += lanes) {{
+            const bool is_hit = some + lane < count && is_reached(some + lane);
+            const unsigned all = ballot(is_hit);
+            if (is_hit) list[hits + ones(all & ((1u << lane) - 1u))] = some + lane;
+            hits += ones(all);
+        }}
+        for (int k = lane; k < {AT_ONCE}; k += lanes) list[hits + k] = {batch};
+        #if defined(__CUDA_ARCH__)
+        __syncwarp();
+        #endif
+        return hits;
+    }};
     auto power_of = [](const Row& p, const Row& q, float dx, float dy) -> float {{
         const float power = -0.5f * (p.c * dx * dx + q.a * dy * dy) - p.d * dx * dy;
         return power < 0.0f ? power : 0.0f;
-    }};
-    auto take = [](unsigned& hits) -> int {{  // of these bits the lowest, counted from 1; then it is cleared
-        #if defined(__CUDA_ARCH__)
-        const int bit = __ffs(hits);
-        #else
-        const int bit = __builtin_ffs(hits);
-        #endif
-        hits &= hits - 1;
-        return bit;
     }};
     auto alpha_of = [&](const Row& p, const Row& q) -> float {{  // before it is clamped
         return q.b * exponential(power_of(p, q, x - p.a, y - p.b));
@@ -156,56 +178,50 @@ def _prelude(batch: int) -> str:
 
 
 _COMPOSITE = f"""
-    const int tile = thread / {BLOCK};
+    const int tile = tile_from_block.data[thread / {BLOCK}];
     const wp::vec_t<2, int> span = bins.ranges.data[tile];
     const int first = span[0], end = span[1];
-{_prelude(BLOCK)}
+{_prelude(SEGMENT)}
     float total[5] = {{}};
     if (layered) for (int c = 0; c < 4; ++c) total[c] = front[c * plane];
     total[4] = 1.0f - T;
     #pragma unroll 1
     for (int f = 0; f < features; ++f) shown[(5 + f) * plane] = 0.0f;
-    for (int begin = first; begin < end; begin += {BLOCK}) {{
-        if (all_threads(T < {constants.STOP_TRANSMITTANCE}f)) break;
-        load(begin);
-        const int count = end - begin < {BLOCK} ? end - begin : {BLOCK};
-        for (int some = 0; some < count; some += lanes) {{
-            if (states.shape[0] && some % {SEGMENT} == 0) {{
-                const int segment = segment_of(begin + some);
-                if (inside == 0) tile_from_segment.data[segment] = tile;
-                kept_of(segment, 0) = T;
-                for (int c = 0; c < 4; ++c) kept_of(segment, 1 + c) = total[c];
-                for (int f = 0; f < features; ++f) kept_of(segment, 5 + f) = shown[(5 + f) * plane];
+    for (int begin = first; begin < end; begin += {SEGMENT}) {{
+        if (!load(begin)) break;
+        if (states.shape[0]) {{
+            const int segment = segment_of(begin);
+            if (inside == 0) tile_from_segment.data[segment] = tile;
+            kept_of(segment, 0) = T;
+            for (int c = 0; c < 4; ++c) kept_of(segment, 1 + c) = total[c];
+            for (int f = 0; f < features; ++f) kept_of(segment, 5 + f) = shown[(5 + f) * plane];
+        }}
+        const int hits = list_hits(end - begin < {SEGMENT} ? end - begin : {SEGMENT});
+        for (int hit = 0; hit < hits; hit += {AT_ONCE}) {{
+            int k[{AT_ONCE}];
+            float alpha[{AT_ONCE}], w[{AT_ONCE}];
+            #pragma unroll
+            for (int i = 0; i < {AT_ONCE}; ++i) {{
+                k[i] = ((const unsigned*)(list + hit))[i / 4] >> i % 4 * 8 & 255;
+                const float raw = alpha_of(row_of(k[i], 0), row_of(k[i], 1));
+                alpha[i] = raw >= {constants.MIN_ALPHA}f ? clamped(raw) : 0.0f;
             }}
-            if (!ballot(T >= {constants.STOP_TRANSMITTANCE}f)) continue;
-            unsigned hits = ballot(some + lane < count && is_reached(some + lane));
-            while (hits) {{
-                int k[{AT_ONCE}];
-                float raw[{AT_ONCE}], w[{AT_ONCE}];
-                #pragma unroll
-                for (int i = 0; i < {AT_ONCE}; ++i) {{
-                    const int bit = take(hits);
-                    k[i] = bit ? some + bit - 1 : k[i > 0 ? i - 1 : 0];
-                    // a product, where a choice would be a branch
-                    raw[i] = (bit ? 1.0f : 0.0f) * alpha_of(row_of(k[i], 0), row_of(k[i], 1));
-                }}
-                #pragma unroll
-                for (int i = 0; i < {AT_ONCE}; ++i) {{
-                    w[i] = is_kept(raw[i]) ? T * clamped(raw[i]) : 0.0f;
-                    T -= w[i];
-                    const Row q = row_of(k[i], 1), r = row_of(k[i], 2);
-                    total[0] += w[i] * q.c;
-                    total[1] += w[i] * q.d;
-                    total[2] += w[i] * r.a;
-                    total[3] += w[i] * r.b;
-                    total[4] += w[i];
-                }}
-                #pragma unroll 1
-                for (int f = 0; f < features; ++f)
-                    #pragma unroll
-                    for (int i = 0; i < {AT_ONCE}; ++i)
-                        shown[(5 + f) * plane] += w[i] * feature_of(gaussian_of(k[i]), f);
+            #pragma unroll
+            for (int i = 0; i < {AT_ONCE}; ++i) {{
+                w[i] = T >= {constants.STOP_TRANSMITTANCE}f ? T * alpha[i] : 0.0f;
+                T -= w[i];
+                const Row q = row_of(k[i], 1), r = row_of(k[i], 2);
+                total[0] += w[i] * q.c;
+                total[1] += w[i] * q.d;
+                total[2] += w[i] * r.a;
+                total[3] += w[i] * r.b;
+                total[4] += w[i];
             }}
+            #pragma unroll 1
+            for (int f = 0; f < features; ++f)
+                #pragma unroll
+                for (int i = 0; i < {AT_ONCE}; ++i)
+                    shown[(5 + f) * plane] += w[i] * feature_of(gaussian_of(k[i]), f);
         }}
     }}
     for (int c = 0; c < 5; ++c) shown[c * plane] = total[c] + (layered ? T * back[c * plane] : 0.0f);
@@ -220,7 +236,7 @@ _ADJOINT = f"""
 {_prelude(BATCH)}
     #if defined(__CUDA_ARCH__)
     __shared__ float parts[{WARPS}][{BATCH}][10];
-    __shared__ unsigned said[{WARPS}][{BATCH} / 32];
+    __shared__ unsigned long long said[{WARPS}];
     // the sums by halves end in every other lane: which number this one has
     const int fifth = (lane >> 3 & 1) * 3 + (lane >> 2 & 1) * 2 + (lane >> 1 & 1);
     const bool has_number = lane % 2 == 0 && (lane & 8 ? fifth < 5 : fifth < 3);
@@ -250,60 +266,53 @@ _ADJOINT = f"""
         rest += v_of(v_image.features, f) * (shown[(5 + f) * plane] - kept_of(segment, 5 + f));
 
     for (int begin = first; begin < end; begin += {BATCH}) {{
-        if (all_threads(T < {constants.STOP_TRANSMITTANCE}f)) break;
-        load(begin);
-        const int count = end - begin < {BATCH} ? end - begin : {BATCH};
-        for (int some = 0; some < count; some += lanes) {{
-            unsigned hits = ballot(some + lane < count && is_reached(some + lane));
-            if (!ballot(T >= {constants.STOP_TRANSMITTANCE}f)) hits = 0;
-            unsigned spoke = 0;
-            while (hits) {{
-                const int k = some + take(hits) - 1;
-                const Row p = row_of(k, 0), q = row_of(k, 1), r = row_of(k, 2);
-                const float raw = alpha_of(p, q), alpha = clamped(raw), w = is_kept(raw) ? T * alpha : 0.0f;
-                if (!ballot(w > 0.0f)) continue;
-                float gain = v[0] * q.c + v[1] * q.d + v[2] * r.a + v[3] * r.b + v[4];
-                #pragma unroll 1
-                for (int f = 0; f < features; ++f)
-                    gain += v_of(v_image.features, f) * feature_of(gaussian_of(k), f);
-                rest -= w * gain;
-                T -= w;
-                if (gaussian_of(k) - before >= trainable) continue;
-                // the clamp passes no gradient
-                const bool is_free = w > 0.0f && raw < {constants.MAX_ALPHA}f;
-                const float v_power = is_free ? w * gain - over(rest * alpha, 1.0f - alpha) : 0.0f;
-                const float dx = x - p.a, dy = y - p.b, v_x = v_power * dx, v_y = v_power * dy;
-                const float moments[10] = {{
-                    v_power, v_x, v_y, v_x * dx, v_x * dy, v_y * dy, w * v[0], w * v[1], w * v[2], w * v[3],
-                }};
-                #if defined(__CUDA_ARCH__)
-                float fives[5], threes[3], twos[2], ones[1], sum[1];
-                halve(moments, 10, fives, 5, 16);
-                halve(fives, 5, threes, 3, 8);
-                halve(threes, 3, twos, 2, 4);
-                halve(twos, 2, ones, 1, 2);
-                halve(ones, 1, sum, 1, 1);
-                if (has_number) parts[warp][k][number] = sum[0];
-                spoke |= 1u << k % 32;
-                #else
-                for (int j = 0; j < 10; ++j) slots.data[isect_of(k) * {BLOCK}ll + inside][j] = moments[j];
-                #endif
-                #pragma unroll 1
-                for (int f = 0; f < features; ++f) {{
-                    float v_feature = w * v_of(v_image.features, f);
-                    #if defined(__CUDA_ARCH__)
-                    for (int other = 16; other > 0; other /= 2) v_feature += __shfl_xor_sync(~0u, v_feature, other);
-                    if (lane == 0) feature_slots.data[(isect_of(k) * {WARPS}ll + warp) * features + f] = v_feature;
-                    #else
-                    feature_slots.data[(isect_of(k) * {BLOCK}ll + inside) * features + f] = v_feature;
-                    #endif
-                }}
-            }}
+        if (!load(begin)) break;
+        const int count = end - begin < {BATCH} ? end - begin : {BATCH}, hits = list_hits(count);
+        unsigned long long spoke = 0;
+        for (int hit = 0; hit < hits; ++hit) {{
+            const int k = list[hit];
+            const Row p = row_of(k, 0), q = row_of(k, 1), r = row_of(k, 2);
+            const float raw = alpha_of(p, q), alpha = clamped(raw), w = is_kept(raw) ? T * alpha : 0.0f;
+            if (!ballot(w > 0.0f)) continue;
+            float gain = v[0] * q.c + v[1] * q.d + v[2] * r.a + v[3] * r.b + v[4];
+            #pragma unroll 1
+            for (int f = 0; f < features; ++f)
+                gain += v_of(v_image.features, f) * feature_of(gaussian_of(k), f);
+            rest -= w * gain;
+            T -= w;
+            if (gaussian_of(k) - before >= trainable) continue;
+            // the clamp passes no gradient
+            const bool is_free = w > 0.0f && raw < {constants.MAX_ALPHA}f;
+            const float v_power = is_free ? w * gain - over(rest * alpha, 1.0f - alpha) : 0.0f;
+            const float dx = x - p.a, dy = y - p.b, v_x = v_power * dx, v_y = v_power * dy;
+            const float moments[10] = {{
+                v_power, v_x, v_y, v_x * dx, v_x * dy, v_y * dy, w * v[0], w * v[1], w * v[2], w * v[3],
+            }};
             #if defined(__CUDA_ARCH__)
-            if (lane == 0) said[warp][some / 32] = spoke;
+            float fives[5], threes[3], twos[2], ones[1], sum[1];
+            halve(moments, 10, fives, 5, 16);
+            halve(fives, 5, threes, 3, 8);
+            halve(threes, 3, twos, 2, 4);
+            halve(twos, 2, ones, 1, 2);
+            halve(ones, 1, sum, 1, 1);
+            if (has_number) parts[warp][k][number] = sum[0];
+            spoke |= 1ull << k;
+            #else
+            for (int j = 0; j < 10; ++j) slots.data[isect_of(k) * {BLOCK}ll + inside][j] = moments[j];
             #endif
+            #pragma unroll 1
+            for (int f = 0; f < features; ++f) {{
+                float v_feature = w * v_of(v_image.features, f);
+                #if defined(__CUDA_ARCH__)
+                for (int other = 16; other > 0; other /= 2) v_feature += __shfl_xor_sync(~0u, v_feature, other);
+                if (lane == 0) feature_slots.data[(isect_of(k) * {WARPS}ll + warp) * features + f] = v_feature;
+                #else
+                feature_slots.data[(isect_of(k) * {BLOCK}ll + inside) * features + f] = v_feature;
+                #endif
+            }}
         }}
         #if defined(__CUDA_ARCH__)
+        if (lane == 0) said[warp] = spoke;
         __syncthreads();
         for (int i = threadIdx.x; i < count * 10; i += {BLOCK}) {{
             const int k = i / 10;
@@ -311,7 +320,7 @@ _ADJOINT = f"""
             bool is_touched = false;
             #pragma unroll
             for (int other = 0; other < {WARPS}; ++other)
-                if (said[other][k / 32] >> k % 32 & 1) is_touched = true, sum += parts[other][k][i % 10];
+                if (said[other] >> k & 1) is_touched = true, sum += parts[other][k][i % 10];
             if (is_touched) slots.data[isect_of(k)][i % 10] = sum;
         }}
         #endif
@@ -325,6 +334,7 @@ def draw_pixel(
     canvas: Canvas,
     bins: Bins,
     reached_from_isect: wp.array(dtype=int),
+    tile_from_block: wp.array(dtype=int),
     records: wp.array(dtype=record16),
     image: wp.array(dtype=float),
     states: wp.array(dtype=float),
@@ -356,6 +366,7 @@ def composite(
     canvas: Canvas,
     bins: Bins,
     reached_from_isect: wp.array(dtype=int),
+    tile_from_block: wp.array(dtype=int),
     records: wp.array(dtype=record16),
     # outputs
     image: wp.array(dtype=float),
@@ -366,7 +377,7 @@ def composite(
 
     Segments that are not reached are those of no tile: ``tile_from_segment`` starts as -1.
     """
-    draw_pixel(wp.tid(), canvas, bins, reached_from_isect, records, image, states, tile_from_segment)
+    draw_pixel(wp.tid(), canvas, bins, reached_from_isect, tile_from_block, records, image, states, tile_from_segment)
 
 
 @wp.kernel

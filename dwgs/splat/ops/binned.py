@@ -21,12 +21,6 @@ class Binned:
     """[M] tile by tile, each nearest first."""
     ranges: Tensor
     """[tiles, 2] span of each tile in the sorted order."""
-    reached_from_isect: Tensor | None = None
-    """[M] on a GPU: which warps of the tile draw it, a bit for each."""
-    states: Tensor | None = None
-    """[segments * (5 + F) * 256] on a GPU, of its pixels, for the adjoint, see `kernels.composite_cuda`."""
-    tile_from_segment: Tensor | None = None
-    """[segments]."""
 
     def to_warp(self) -> Any:
         """The same arrays for the kernels."""

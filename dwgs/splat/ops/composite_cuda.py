@@ -1,6 +1,6 @@
 """Binning and compositing on a GPU."""
 
-from dataclasses import replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -9,15 +9,35 @@ import warp as wp
 from torch import Tensor
 
 from dwgs.splat.kernels import bin_cuda, composite_cuda
-from dwgs.splat.kernels.gather import gather, slot10
+from dwgs.splat.kernels.gather import GATHERERS, gather, slot10
 from dwgs.splat.kernels.project import record16
 from dwgs.splat.ops.binned import Binned
 from dwgs.splat.parallel import BLOCK
 
 
+@dataclass(frozen=True)
+class BinnedOnCuda(Binned):
+    """What blocks need besides."""
+
+    reached_from_isect: Tensor
+    """[M] which warps of the tile draw it, a bit for each."""
+    tile_from_block: Tensor
+    """[tiles] those that have something first."""
+
+
+@dataclass(frozen=True)
+class Drawn(BinnedOnCuda):
+    """And what the first pass keeps for the adjoint, see `kernels.composite_cuda`."""
+
+    states: Tensor
+    """[segments * (5 + F) * 256] of the pixels."""
+    tile_from_segment: Tensor
+    """[segments] -1: never reached."""
+
+
 def draw(
     canvas: Any, records: Tensor, image: Tensor, capacity: int | None, _threads: int, trains: bool = False
-) -> Binned:
+) -> BinnedOnCuda:
     """Bin records [V, N, 16] and fill the ``image``, which may be empty: then nothing is drawn.
 
     With what it keeps where it ``trains``, the adjoint can follow.
@@ -29,14 +49,15 @@ def draw(
     states = records.new_empty(segments * image.shape[1] * composite_cuda.BLOCK)
     tile_from_segment = torch.full((segments,), -1, dtype=torch.int32, device=records.device)
     outputs = [wp.from_torch(tensor) for tensor in (image.view(-1), states, tile_from_segment)]
-    inputs = [canvas, binned.to_warp(), _reached(binned), _records(records), *outputs]
+    order = [wp.from_torch(tensor) for tensor in (binned.reached_from_isect, binned.tile_from_block)]
+    inputs = [canvas, binned.to_warp(), *order, _records(records), *outputs]
     _launch(composite_cuda.composite, len(binned.ranges) * composite_cuda.BLOCK, inputs, records, composite_cuda.BLOCK)
-    return replace(binned, states=states, tile_from_segment=tile_from_segment)
+    return Drawn(**vars(binned), states=states, tile_from_segment=tile_from_segment)
 
 
 def draw_adjoint(
     canvas: Any,
-    binned: Binned,
+    drawn: Drawn,
     records: Tensor,
     image: Tensor,
     v_image: Any,
@@ -46,22 +67,18 @@ def draw_adjoint(
 ) -> None:
     """Fill the gradients [V, T, 16] and [V, T, F] of the first T Gaussians of each view."""
     trainable, features = v_features.shape[1:]
-    count, parts = len(binned.gaussian_from_isect), (composite_cuda.PARTS, composite_cuda.FEATURE_PARTS)
+    count, parts = len(drawn.gaussian_from_isect), (composite_cuda.PARTS, composite_cuda.FEATURE_PARTS)
     slots = wp.from_torch(records.new_zeros(count * parts[0], 10), dtype=slot10)
     feature_slots = wp.from_torch(records.new_zeros(count * parts[1] * features))
-    segments = binned.tile_from_segment
-    assert segments is not None, "nothing was kept for the adjoint"
-    assert binned.states is not None, "nothing was kept for the adjoint"
-    kept = [wp.from_torch(tensor) for tensor in (image.view(-1), binned.states, segments)]
-    inputs = [canvas, binned.to_warp(), _reached(binned), _records(records), *kept, v_image, trainable]
-    inputs += [slots, feature_slots]
-    _launch(
-        composite_cuda.composite_adjoint, len(segments) * composite_cuda.BLOCK, inputs, records, composite_cuda.BLOCK
-    )
+    kept = [wp.from_torch(tensor) for tensor in (image.view(-1), drawn.states, drawn.tile_from_segment)]
+    inputs = [canvas, drawn.to_warp(), wp.from_torch(drawn.reached_from_isect), _records(records), *kept]
+    inputs += [v_image, trainable, slots, feature_slots]
+    items = len(drawn.tile_from_segment) * composite_cuda.BLOCK
+    _launch(composite_cuda.composite_adjoint, items, inputs, records, composite_cuda.BLOCK)
     numbers = [*parts, records.shape[1], trainable, features]
     outputs = [_records(v_records), wp.from_torch(v_features.flatten(0, 1))]
-    inputs = [slots, feature_slots, wp.from_torch(binned.ends), *numbers, _records(records), *outputs]
-    _launch(gather, len(binned.ends), inputs, records)
+    inputs = [slots, feature_slots, wp.from_torch(drawn.ends), *numbers, _records(records), *outputs]
+    _launch(gather, len(drawn.ends) * GATHERERS, inputs, records)
 
 
 def _bin(canvas: Any, records: Tensor, capacity: int | None) -> Binned:
@@ -78,20 +95,24 @@ def _bin(canvas: Any, records: Tensor, capacity: int | None) -> Binned:
     in_ends = wp.from_torch(ends)
     m = capacity if capacity is not None else int(ends[-1]) if n else 0
 
-    sizes, keys = torch.zeros(count, dtype=torch.int32, device=where), empty(2, m, dtype=torch.int64)
+    zeros, keys = torch.zeros(count + 2, dtype=torch.int32, device=where), empty(2, m, dtype=torch.int64)
+    sizes, listed = zeros.split([count, 2])
     gaussian_from_isect, isect_from_sorted, reached, ranges = empty(m), empty(m), empty(m), empty(count, 2)
+    tile_from_block = empty(count)
+    order = [wp.from_torch(listed), wp.from_torch(tile_from_block)]
     in_sizes, in_places = wp.from_torch(sizes), wp.from_torch(isect_from_sorted)  # whose room is free as yet
-    _launch(bin_cuda.tally, n, [in_areas, in_ends, tiles, in_sizes, in_places], records)
+    dealers = n * bin_cuda.DEALERS
+    _launch(bin_cuda.tally, dealers, [in_areas, in_ends, tiles, in_sizes, in_places, *order], records)
     in_tile_ends = wp.from_torch(sizes.cumsum(0, dtype=torch.int32))
     in_keys, in_spare_keys = (wp.from_torch(row, dtype=wp.uint64) for row in keys)
     places = [in_places, in_sizes, in_tile_ends]
     outputs = [in_keys, wp.from_torch(gaussian_from_isect), wp.from_torch(reached)]
-    _launch(bin_cuda.deal, n, [in_records, in_areas, in_ends, tiles, *places, *outputs], records)
+    _launch(bin_cuda.deal, dealers, [in_records, in_areas, in_ends, tiles, *places, *outputs], records)
     sorters = bin_cuda.SORTERS if records.is_cuda else 1
-    outputs = [wp.from_torch(isect_from_sorted), wp.from_torch(ranges, dtype=wp.vec2i)]
+    outputs = [wp.from_torch(isect_from_sorted), wp.from_torch(ranges, dtype=wp.vec2i), *order]
     inputs = [in_tile_ends, in_keys, in_spare_keys, sorters, *outputs]
     _launch(bin_cuda.sort, count * sorters, inputs, records, bin_cuda.SORTERS)
-    return Binned(ends, gaussian_from_isect, isect_from_sorted, ranges, reached)
+    return BinnedOnCuda(ends, gaussian_from_isect, isect_from_sorted, ranges, reached, tile_from_block)
 
 
 def _launch(kernel: Any, items: int, inputs: list[Any], records: Tensor, block: int = BLOCK) -> None:
@@ -101,8 +122,3 @@ def _launch(kernel: Any, items: int, inputs: list[Any], records: Tensor, block: 
 
 def _records(records: Tensor) -> Any:
     return wp.from_torch(records.view(-1, 16), dtype=record16)
-
-
-def _reached(binned: Binned) -> Any:
-    assert binned.reached_from_isect is not None, "binned for a CPU"
-    return wp.from_torch(binned.reached_from_isect)
