@@ -1,5 +1,5 @@
 # type: ignore  (Warp's language, which is not Python's)
-"""Binning and compositing on a CPU: 16x16 tiles, one vector register per block of 4x4 pixels.
+"""Projecting, binning and compositing on a CPU: 16x16 tiles, one vector register per block of 4x4 pixels.
 
 Native snippets, because Warp's own scalar loops run an order of magnitude slower here. Both begin with the
 same text, so that forward and adjoint see bit-equal alphas and transmittances.
@@ -15,8 +15,8 @@ from dwgs.splat.kernels.bins import Bins
 from dwgs.splat.kernels.canvas import Canvas, Gradient
 from dwgs.splat.kernels.crew import close_phase, dismiss, is_boss, open_phase, take
 from dwgs.splat.kernels.gather import slot10, sum_slots
-from dwgs.splat.kernels.lanes import TRANSPOSE
-from dwgs.splat.kernels.project import record16
+from dwgs.splat.kernels.lanes import LANES, TRANSPOSE
+from dwgs.splat.kernels.project import Cloud, Lens, project_adjoint_of, project_group, record16
 
 wp.set_module_options({"enable_backward": False})
 
@@ -328,17 +328,21 @@ def draw_tile_adjoint(
 
 
 GATHERED = 256
-"""Gaussians whose slots are summed as one item."""
+"""Gaussians that are projected, or whose slots are summed, as one item."""
+_LANES = LANES["cpu"]
+_GROUPS = GATHERED // _LANES
 
 
 @wp.kernel
 def composite(
     crew: wp.array(dtype=int),
+    cloud: Cloud,
+    lens: Lens,
     canvas: Canvas,
     bins: Bins,
-    records: wp.array(dtype=record16),
     run_size: int,
     # outputs
+    records: wp.array(dtype=record16),
     ends: wp.array(dtype=int),
     places: wp.array2d(dtype=int),
     depths: wp.array(dtype=float),
@@ -347,25 +351,35 @@ def composite(
     image: wp.array(dtype=float),
     total: wp.array(dtype=int),
 ):
-    """Bin by runs of Gaussians, sort and draw by tiles, once per thread of the crew.
+    """Project, bin by runs of Gaussians, sort and draw by tiles, once per thread of the crew.
 
-    Without an image nothing is drawn; without room for the ``total`` of intersections nothing but that is found.
+    In each view the cloud's records come first; those behind them are there already. Without an image nothing is
+    drawn; without room for the ``total`` of intersections nothing but that is found.
     """
     boss = is_boss(crew)
+    groups = lens.intrinsics.shape[0] * ((cloud.means.shape[0] + _LANES - 1) / _LANES)
+    open_phase(crew, 0, boss, (groups + _GROUPS - 1) / _GROUPS)
+    some = take(crew, 0, -1)
+    while some >= 0:
+        for group in range(some * _GROUPS, wp.min((some + 1) * _GROUPS, groups)):
+            project_group(group, cloud, lens, canvas.gaussians, records)
+        some = take(crew, 0, some)
+    close_phase(crew, 0, boss)
+
     tiles = wp.vec2i(canvas.tiles_across, canvas.tiles_down)
-    open_phase(crew, 0, boss, places.shape[0])
-    run = take(crew, 0, -1)
+    open_phase(crew, 1, boss, places.shape[0])
+    run = take(crew, 1, -1)
     while run >= 0:
         count_run(run, run_size, records, canvas.gaussians, tiles, ends, places)
-        run = take(crew, 0, run)
-    close_phase(crew, 0, boss)
+        run = take(crew, 1, run)
+    close_phase(crew, 1, boss)
 
     is_room = True
     if boss:
         total[0] = allot(ends, places, bins.ranges)
         is_room = total[0] <= depths.shape[0]
-    open_phase(crew, 1, boss, places.shape[0] * int(is_room))
-    run = take(crew, 1, -1)
+    open_phase(crew, 2, boss, places.shape[0] * int(is_room))
+    run = take(crew, 2, -1)
     while run >= 0:
         deal_run(
             run,
@@ -379,23 +393,25 @@ def composite(
             bins.isect_from_sorted,
             bins.gaussian_from_isect,
         )
-        run = take(crew, 1, run)
-    close_phase(crew, 1, boss)
+        run = take(crew, 2, run)
+    close_phase(crew, 2, boss)
 
-    open_phase(crew, 2, boss, bins.ranges.shape[0] * int(is_room))
-    tile = take(crew, 2, -1)
+    open_phase(crew, 3, boss, bins.ranges.shape[0] * int(is_room))
+    tile = take(crew, 3, -1)
     while tile >= 0:
         sort_tile(tile, bins.ranges, depths, bins.isect_from_sorted, spare_depths, spare_isects)
         if image.shape[0] > 0:
             draw_tile(tile, canvas, bins, records, image)
-        tile = take(crew, 2, tile)
-    close_phase(crew, 2, boss)
+        tile = take(crew, 3, tile)
+    close_phase(crew, 3, boss)
     dismiss(crew, boss)
 
 
 @wp.kernel
 def composite_adjoint(
     crew: wp.array(dtype=int),
+    cloud: Cloud,
+    lens: Lens,
     canvas: Canvas,
     bins: Bins,
     records: wp.array(dtype=record16),
@@ -403,13 +419,16 @@ def composite_adjoint(
     v_image: Gradient,
     trainable: int,
     ends: wp.array(dtype=int),
+    spans: wp.array(dtype=wp.vec2i),
     # outputs
     slots: wp.array(dtype=slot10),
     feature_slots: wp.array(dtype=float),
     v_records: wp.array(dtype=record16),
     v_features: wp.array2d(dtype=float),
+    v_cloud: Cloud,
+    v_viewmats: wp.array2d(dtype=wp.mat44),
 ):
-    """Slots by tiles, their sums by Gaussians, once per thread of the crew."""
+    """Slots by tiles, their sums by Gaussians, the cloud's gradient by ``spans``, once per thread of the crew."""
     boss = is_boss(crew)
     open_phase(crew, 0, boss, bins.ranges.shape[0])
     tile = take(crew, 0, -1)
@@ -419,12 +438,19 @@ def composite_adjoint(
     close_phase(crew, 0, boss)
 
     open_phase(crew, 1, boss, (ends.shape[0] + GATHERED - 1) / GATHERED)
-    span = take(crew, 1, -1)
-    while span >= 0:
-        for i in range(span * GATHERED, wp.min((span + 1) * GATHERED, ends.shape[0])):
+    some = take(crew, 1, -1)
+    while some >= 0:
+        for i in range(some * GATHERED, wp.min((some + 1) * GATHERED, ends.shape[0])):
             sum_slots(
                 i, slots, feature_slots, ends, canvas.gaussians, trainable, canvas.features, v_records, v_features
             )
-        span = take(crew, 1, span)
+        some = take(crew, 1, some)
     close_phase(crew, 1, boss)
+
+    open_phase(crew, 2, boss, spans.shape[0])
+    span = take(crew, 2, -1)
+    while span >= 0:
+        project_adjoint_of(span, cloud, lens, canvas.gaussians, records, v_records, spans, v_cloud, v_viewmats)
+        span = take(crew, 2, span)
+    close_phase(crew, 2, boss)
     dismiss(crew, boss)

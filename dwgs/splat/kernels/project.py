@@ -171,14 +171,13 @@ _PROJECT = f"""
     for (int k = 0; k < 16; ++k) record[k] = only(is_drawn, record[k]);
     record[9] = only(finite(p[2]), p[2]);
     record[12] = is_broken ? zero + 1.0f : record[12];
-    put_rows(records.data + view * gaussians, i, gaussians, record);
+    put_rows(records.data + view * (long long)per_view, i, gaussians, record);
 """
 
 _ADJOINT = f"""
 {_GAUSSIANS}
 {SH_BASIS}
 {SH_BASIS_ADJOINT}
-    const int before = view * gaussians;
     const int object = lens.object_from_gaussian.shape[0] ? lens.object_from_gaussian.data[begin] : 0;
     const float fx = lens.intrinsics.data[view][0], fy = lens.intrinsics.data[view][1];
     auto add = [&](void* rows, int width, int k, int i, number v) -> void {{
@@ -190,8 +189,8 @@ _ADJOINT = f"""
     set_pose((const float*)(lens.viewmats.data + view * lens.viewmats.shape[1] + object));
     for (int i = begin; i < end; i += lanes) {{
         number record[16], v[16];
-        get_rows(records.data + before, i, end, record);
-        get_rows(v_records.data + before, i, end, v);
+        get_rows(records.data + view * (long long)per_view, i, end, record);
+        get_rows(v_records.data + view * (long long)(v_records.shape[0] / lens.viewmats.shape[0]), i, end, v);
         truth is_drawn = record[10] > zero;
         #if !defined(__CUDA_ARCH__)
         for (int l = end - i; l < lanes; ++l) is_drawn[l] = 0;
@@ -301,8 +300,8 @@ _ADJOINT = f"""
 
 
 @wp.func_native(_PROJECT)
-def project_group(group: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record16)):
-    """Write the records of as many Gaussians as a number has lanes."""
+def project_group(group: int, cloud: Cloud, lens: Lens, per_view: int, records: wp.array(dtype=record16)):
+    """Write the records of as many Gaussians as a number has lanes; those of a view come first among ``per_view``."""
 
 
 @wp.func_native(_ADJOINT)
@@ -312,6 +311,7 @@ def project_span_adjoint(
     view: int,
     cloud: Cloud,
     lens: Lens,
+    per_view: int,
     records: wp.array(dtype=record16),
     v_records: wp.array(dtype=record16),
     v_cloud: Cloud,
@@ -321,10 +321,30 @@ def project_span_adjoint(
     """Add what one view says to the gradients of a span of Gaussians; the gradient of their pose."""
 
 
+@wp.func
+def project_adjoint_of(
+    task: int,
+    cloud: Cloud,
+    lens: Lens,
+    per_view: int,
+    records: wp.array(dtype=record16),
+    v_records: wp.array(dtype=record16),
+    spans: wp.array(dtype=wp.vec2i),
+    v_cloud: Cloud,
+    v_viewmats: wp.array2d(dtype=wp.mat44),
+):
+    """Gradients of one span, over all views."""
+    span = spans[task]
+    for view in range(lens.viewmats.shape[0]):
+        project_span_adjoint(
+            span[0], span[1], view, cloud, lens, per_view, records, v_records, v_cloud, v_viewmats, task
+        )
+
+
 @wp.kernel
-def project(first: int, cloud: Cloud, lens: Lens, records: wp.array(dtype=record16)):
+def project(first: int, cloud: Cloud, lens: Lens, per_view: int, records: wp.array(dtype=record16)):
     """One record per view and Gaussian; radii stay zero where it is behind, outside, too faint or not finite."""
-    project_group(first + wp.tid(), cloud, lens, records)
+    project_group(first + wp.tid(), cloud, lens, per_view, records)
 
 
 @wp.kernel
@@ -332,6 +352,7 @@ def project_adjoint(
     first: int,
     cloud: Cloud,
     lens: Lens,
+    per_view: int,
     records: wp.array(dtype=record16),
     v_records: wp.array(dtype=record16),
     spans: wp.array(dtype=wp.vec2i),
@@ -343,7 +364,4 @@ def project_adjoint(
 
     These only where there is room for them.
     """
-    task = first + wp.tid()
-    span = spans[task]
-    for view in range(lens.viewmats.shape[0]):
-        project_span_adjoint(span[0], span[1], view, cloud, lens, records, v_records, v_cloud, v_viewmats, task)
+    project_adjoint_of(first + wp.tid(), cloud, lens, per_view, records, v_records, spans, v_cloud, v_viewmats)

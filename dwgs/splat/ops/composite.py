@@ -13,6 +13,7 @@ from dwgs.scene import InputError
 from dwgs.splat.kernels.canvas import Canvas, Gradient
 from dwgs.splat.ops import composite_cpu, composite_cuda
 from dwgs.splat.ops.binned import Binned
+from dwgs.splat.ops.project import Scene
 from dwgs.splat.ops.stream import torch_stream
 from dwgs.splat.parallel import load
 from dwgs.splat.splats import Layers, Projected, Rendering, View, whole_tiles
@@ -43,14 +44,18 @@ def composite(
         threads: On a CPU.
     """
     parts = projected if isinstance(projected, list) else [projected]
-    if features is None:
-        features = parts[0].records.new_zeros(sum(map(len, parts)), 0)
-    if features.shape[:1] != (sum(map(len, parts)),) or features.ndim != 2 or features.dtype != torch.float32:
-        raise InputError(
-            f"features are float32 [{sum(map(len, parts))}, F], got {features.dtype} {tuple(features.shape)}"
-        )
+    features = checked(features, sum(map(len, parts)), parts[0].records)
     images = _Composite.apply(view, layers, capacity, threads, features, *(p.records for p in parts))
     return Rendering(*images)
+
+
+def checked(features: Tensor | None, count: int, like: Tensor) -> Tensor:
+    """[N, F] features of so many Gaussians, none of each where there are none."""
+    if features is None:
+        return like.new_zeros(count, 0)
+    if features.shape[:1] != (count,) or features.ndim != 2 or features.dtype != torch.float32:
+        raise InputError(f"features are float32 [{count}, F], got {features.dtype} {tuple(features.shape)}")
+    return features
 
 
 WAYS = {"cpu": composite_cpu, "cuda": composite_cuda}
@@ -82,20 +87,18 @@ class _Composite(torch.autograd.Function):
         load(wp.device_from_torch(where))
         shape = (views, PLANES + feature.shape[1], *whole_tiles(view.height, view.width))
         image = torch.empty(shape, device=where)
-        canvas = _canvas(view, records, layers, feature)
+        canvas = canvas_of(view, records, layers, feature)
         with torch_stream(where):
-            binned = WAYS[where.type].draw(canvas, records, image, capacity, threads, any(ctx.needs_input_grad))
+            way, needs_any = WAYS[where.type], any(ctx.needs_input_grad)
+            binned = way.draw(canvas, Scene.empty(), records, image, capacity, threads, needs_any)
         ctx.canvas, ctx.binned, ctx.threads = canvas, binned, threads
         ctx.order, ctx.counts, ctx.needs, ctx.shapes = order, counts, needs, [part.shape for part in parts]
         ctx.save_for_backward(records, image, feature)
         ctx.size = view.height, view.width
         ctx.set_materialize_grads(False)
-        inside = image[..., : view.height, : view.width]
-        inside = inside if view.is_batch else inside[0]
-        rgb, rest = inside[..., :3, :, :].movedim(-3, -1), inside[..., PLANES:, :, :].movedim(-3, -1)
-        intersections = binned.ends[-1].long() if len(binned.ends) else binned.ends.sum()
-        ctx.mark_non_differentiable(intersections)
-        return rgb, inside[..., 3, :, :], inside[..., 4, :, :], rest, intersections
+        images = pictures(image, binned, view)
+        ctx.mark_non_differentiable(images[-1])
+        return images
 
     @staticmethod
     @once_differentiable
@@ -103,12 +106,13 @@ class _Composite(torch.autograd.Function):
         records, image, feature = (t.detach() for t in ctx.saved_tensors)
         binned, where = ctx.binned, records.device
         trainable = sum(count for count, need in zip(ctx.counts, ctx.needs, strict=True) if need)
-        v_image = _gradient(grad_outputs[:4], (len(image), image.shape[1], *ctx.size), where)
+        v_image = gradient_of(grad_outputs[:4], (len(image), image.shape[1], *ctx.size), where)
         v_records = torch.empty(len(records), trainable, 16, device=where)
         v_features = torch.empty(len(records), trainable, feature.shape[1], device=where)
         with torch_stream(where):
             way = WAYS[where.type]
-            way.draw_adjoint(ctx.canvas, binned, records, image, v_image, v_records, v_features, ctx.threads)
+            inputs = ctx.canvas, Scene.empty(), binned, records, image, v_image
+            way.draw_adjoint(*inputs, v_records, v_features, None, ctx.threads)
         return None, None, None, None, *_by_part(ctx, v_records, v_features)
 
 
@@ -123,7 +127,16 @@ def _by_part(ctx: Any, v_records: Tensor, v_features: Tensor) -> list[Tensor | N
     return [torch.cat([rows[k] for k in range(len(ctx.counts))]), *v_parts]
 
 
-def _gradient(images: Sequence[Tensor | None], shape: tuple[int, ...], where: torch.device) -> Any:
+def pictures(image: Tensor, binned: Binned, view: View) -> tuple[Tensor, ...]:
+    """What a `Rendering` has, of planes [V, 5 + F, H', W']."""
+    inside = image[..., : view.height, : view.width]
+    inside = inside if view.is_batch else inside[0]
+    rgb, rest = inside[..., :3, :, :].movedim(-3, -1), inside[..., PLANES:, :, :].movedim(-3, -1)
+    intersections = binned.ends[-1].long() if len(binned.ends) else binned.ends.sum()
+    return rgb, inside[..., 3, :, :], inside[..., 4, :, :], rest, intersections
+
+
+def gradient_of(images: Sequence[Tensor | None], shape: tuple[int, ...], where: torch.device) -> Any:
     """For the kernels, the gradients by rgb, depth, alpha and features: as a `Rendering` has them, where they lie.
 
     None stands for zeros; ``shape`` is V, planes, H, W.
@@ -146,11 +159,12 @@ def _zero(where: torch.device) -> Tensor:
 def bin(records: Tensor, view: View, capacity: int | None, threads: int) -> Binned:
     """Which tiles the records [V, N, 16] touch, nearest first; without a ``capacity`` a GPU is waited for."""
     load(wp.device_from_torch(records.device))
-    canvas = _canvas(view, records, None, records.new_zeros(0, 0))
-    return WAYS[records.device.type].draw(canvas, records, records.new_zeros(0), capacity, threads)
+    canvas = canvas_of(view, records, None, records.new_zeros(0, 0))
+    return WAYS[records.device.type].draw(canvas, Scene.empty(), records, records.new_zeros(0), capacity, threads)
 
 
-def _canvas(view: View, records: Tensor, layers: Layers | None, feature: Tensor) -> Any:
+def canvas_of(view: View, records: Tensor, layers: Layers | None, feature: Tensor) -> Any:
+    """Where the records [V, N, 16] are drawn, for the kernels."""
     canvas = Canvas()
     canvas.width, canvas.height = view.width, view.height
     canvas.tiles_across, canvas.tiles_down = view.tiles

@@ -1,4 +1,4 @@
-"""Binning and compositing on a GPU."""
+"""Projecting, binning and compositing on a GPU."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -10,8 +10,8 @@ from torch import Tensor
 
 from dwgs.splat.kernels import bin_cuda, composite_cuda
 from dwgs.splat.kernels.gather import GATHERERS, gather, slot10
-from dwgs.splat.kernels.project import record16
 from dwgs.splat.ops.binned import Binned
+from dwgs.splat.ops.project import Scene, SceneGradient, as_records, project_adjoint, project_into
 from dwgs.splat.parallel import BLOCK
 
 
@@ -36,12 +36,20 @@ class Drawn(BinnedOnCuda):
 
 
 def draw(
-    canvas: Any, records: Tensor, image: Tensor, capacity: int | None, _threads: int, trains: bool = False
+    canvas: Any,
+    scene: Scene,
+    records: Tensor,
+    image: Tensor,
+    capacity: int | None,
+    threads: int,
+    trains: bool = False,
 ) -> BinnedOnCuda:
-    """Bin records [V, N, 16] and fill the ``image``, which may be empty: then nothing is drawn.
+    """Project a scene to the first of the records [V, N, 16], bin all and fill the ``image``, which may be empty.
 
     With what it keeps where it ``trains``, the adjoint can follow.
     """
+    if sum(scene.objects.counts):
+        project_into(records, scene, threads)
     binned = _bin(canvas, records, capacity)
     if not image.numel():
         return binned
@@ -50,42 +58,46 @@ def draw(
     tile_from_segment = torch.full((segments,), -1, dtype=torch.int32, device=records.device)
     outputs = [wp.from_torch(tensor) for tensor in (image.view(-1), states, tile_from_segment)]
     order = [wp.from_torch(tensor) for tensor in (binned.reached_from_isect, binned.tile_from_block)]
-    inputs = [canvas, binned.to_warp(), *order, _records(records), *outputs]
+    inputs = [canvas, binned.to_warp(), *order, as_records(records), *outputs]
     _launch(composite_cuda.composite, len(binned.ranges) * composite_cuda.BLOCK, inputs, records, composite_cuda.BLOCK)
     return Drawn(**vars(binned), states=states, tile_from_segment=tile_from_segment)
 
 
 def draw_adjoint(
     canvas: Any,
+    scene: Scene,
     drawn: Drawn,
     records: Tensor,
     image: Tensor,
     v_image: Any,
     v_records: Tensor,
     v_features: Tensor,
-    _threads: int,
+    v_scene: SceneGradient | None,
+    threads: int,
 ) -> None:
-    """Fill the gradients [V, T, 16] and [V, T, F] of the first T Gaussians of each view."""
+    """Fill the gradients [V, T, 16] and [V, T, F] of the first T Gaussians of each view, and that of the scene."""
     trainable, features = v_features.shape[1:]
     count, parts = len(drawn.gaussian_from_isect), (composite_cuda.PARTS, composite_cuda.FEATURE_PARTS)
     slots = wp.from_torch(records.new_zeros(count * parts[0], 10), dtype=slot10)
     feature_slots = wp.from_torch(records.new_zeros(count * parts[1] * features))
     kept = [wp.from_torch(tensor) for tensor in (image.view(-1), drawn.states, drawn.tile_from_segment)]
-    inputs = [canvas, drawn.to_warp(), wp.from_torch(drawn.reached_from_isect), _records(records), *kept]
+    inputs = [canvas, drawn.to_warp(), wp.from_torch(drawn.reached_from_isect), as_records(records), *kept]
     inputs += [v_image, trainable, slots, feature_slots]
     items = len(drawn.tile_from_segment) * composite_cuda.BLOCK
     _launch(composite_cuda.composite_adjoint, items, inputs, records, composite_cuda.BLOCK)
     numbers = [*parts, records.shape[1], trainable, features]
-    outputs = [_records(v_records), wp.from_torch(v_features.flatten(0, 1))]
-    inputs = [slots, feature_slots, wp.from_torch(drawn.ends), *numbers, _records(records), *outputs]
+    outputs = [as_records(v_records), wp.from_torch(v_features.flatten(0, 1))]
+    inputs = [slots, feature_slots, wp.from_torch(drawn.ends), *numbers, as_records(records), *outputs]
     _launch(gather, len(drawn.ends) * GATHERERS, inputs, records)
+    if v_scene is not None:
+        project_adjoint(v_scene, scene, records, v_records, threads)
 
 
-def _bin(canvas: Any, records: Tensor, capacity: int | None) -> Binned:
+def _bin(canvas: Any, records: Tensor, capacity: int | None) -> BinnedOnCuda:
     where, tiles = records.device, wp.vec2i(canvas.tiles_across, canvas.tiles_down)
     count = len(records) * canvas.tiles_across * canvas.tiles_down
     n, per_view = records.shape[0] * records.shape[1], records.shape[1]
-    in_records = _records(records)
+    in_records = as_records(records)
 
     empty = partial(torch.empty, dtype=torch.int32, device=where)
     areas, counts = empty(n, 4), empty(n)
@@ -118,7 +130,3 @@ def _bin(canvas: Any, records: Tensor, capacity: int | None) -> Binned:
 def _launch(kernel: Any, items: int, inputs: list[Any], records: Tensor, block: int = BLOCK) -> None:
     device = wp.device_from_torch(records.device)
     wp.launch(kernel, items, inputs, device=device, block_dim=block, record_tape=False)
-
-
-def _records(records: Tensor) -> Any:
-    return wp.from_torch(records.view(-1, 16), dtype=record16)

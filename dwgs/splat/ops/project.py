@@ -1,7 +1,8 @@
 """Splats and a camera to records, differentiably."""
 
 from collections.abc import Sequence
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cache, lru_cache
 from typing import Any
 
 import torch
@@ -38,6 +39,13 @@ def project(
         antialiased: Whether what is thinner than a pixel is fainter instead of fatter (Mip-Splatting's 2D filter).
         threads: On a CPU.
     """
+    tensors, objects = checked(splats, view, objects)
+    records = _Project.apply(view, objects, antialiased, threads, *tensors)
+    return Projected(records if view.is_batch else records.squeeze(0))  # whose gradient, unlike that of [0], is a view
+
+
+def checked(splats: Splats, view: View, objects: Objects | None) -> tuple[tuple[Tensor, ...], Objects]:
+    """Means, quats, scales, opacities, sh and ``camera_from_object`` [V, K, 4, 4]; and whose Gaussians are whose."""
     tensors = (splats.means, splats.quats, splats.scales, splats.opacities, splats.sh, view.viewmat)
     for tensor in tensors:
         if tensor.dtype != torch.float32 or tensor.device != view.viewmat.device:
@@ -52,26 +60,20 @@ def project(
         viewmats = view.viewmats[:, None] @ objects.world_from_object
     if sum(objects.counts) != len(splats):
         raise InputError(f"every Gaussian belongs to one object: {len(splats)} Gaussians, {objects.counts} in objects")
-    records = _Project.apply(view, objects, antialiased, threads, *tensors[:5], viewmats)
-    return Projected(records if view.is_batch else records.squeeze(0))  # whose gradient, unlike that of [0], is a view
+    return (*tensors[:5], viewmats), objects
 
 
 class _Project(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, view: View, objects: Objects, antialiased: bool, threads: int, *tensors: Tensor) -> Tensor:
         tensors = tuple(t.detach().contiguous() for t in tensors)
-        where = tensors[0].device
-        records = torch.empty(len(view.viewmats), len(tensors[0]), 16, device=where)
-        device = wp.device_from_torch(where)
-        load(device)
-        inputs = [_cloud(tensors), _lens(view, objects, antialiased, tensors[5])]
-        with torch_stream(where):
-            lanes = LANES[where.type]
-            groups = len(records) * -(-records.shape[1] // lanes)
-            bounds = even(groups, _WORTH_A_THREAD // lanes, threads)
-            launch(kernels.project, bounds, [*inputs, _records(records)], device, threads)
+        records = torch.empty(len(view.viewmats), len(tensors[0]), 16, device=tensors[0].device)
+        load(wp.device_from_torch(records.device))
+        scene = Scene.of(view, objects, antialiased, tensors)
+        with torch_stream(records.device):
+            project_into(records, scene, threads)
         # not the records: whoever keeps its own output is never freed
-        ctx.inputs, ctx.objects, ctx.threads = inputs, objects, threads
+        ctx.scene, ctx.threads = scene, threads
         ctx.save_for_backward(*tensors, records)
         return records
 
@@ -79,26 +81,99 @@ class _Project(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grad_outputs: Tensor):  # pyright: ignore[reportIncompatibleMethodOverride]
         *tensors, records = (t.detach() for t in ctx.saved_tensors)
-        where, objects = records.device, ctx.objects
-        object_from_task, spans = _tasks(objects.counts, _GAUSSIANS_PER_TASK[where.type], where)
-        tasks = len(spans)
+        gradient = SceneGradient.of(ctx.scene, tensors, ctx.needs_input_grad[-1])
+        with torch_stream(records.device):
+            project_adjoint(gradient, ctx.scene, records, grad_outputs[0].contiguous(), ctx.threads)
+        return None, None, None, None, *gradient.tensors()
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is projected, as the kernels take it; who made it keeps the tensors."""
+
+    cloud: Any
+    lens: Any
+    objects: Objects
+
+    @staticmethod
+    def of(view: View, objects: Objects, antialiased: bool, tensors: Sequence[Tensor]) -> "Scene":
+        """Of contiguous ``tensors`` as `checked` gives them."""
+        return Scene(_cloud(tensors), _lens(view, objects, antialiased, tensors[5]), objects)
+
+    @staticmethod
+    @cache
+    def empty() -> "Scene":
+        """Nothing, seen by nobody."""
+        return Scene(kernels.Cloud(), kernels.Lens(), Objects((0,), torch.eye(4)[None]))
+
+
+@dataclass(frozen=True)
+class SceneGradient:
+    """Room for the gradient of a scene."""
+
+    v_tensors: list[Tensor]
+    """By means, quats, scales, opacities, sh."""
+    v_spans: Tensor
+    """[V, T, 4, 4] by the pose, of every span; no spans where nobody asks."""
+    needs_pose: bool
+    object_from_span: Tensor
+    """[T]."""
+    spans: Any
+    """[T] first and end of Gaussians of one object."""
+    v_cloud: Any
+    out_spans: Any
+    objects: Objects
+
+    @staticmethod
+    def of(scene: Scene, tensors: Sequence[Tensor], needs_pose: bool) -> "SceneGradient":
+        """Of the tensors that the scene was made of."""
+        where = tensors[0].device
+        object_from_span, spans = _tasks(scene.objects.counts, _GAUSSIANS_PER_TASK[where.type], where)
         v_tensors = [torch.empty_like(t) for t in tensors[:5]]
-        needs_pose = ctx.needs_input_grad[-1]
-        v_spans = torch.empty(len(records), tasks if needs_pose else 0, 4, 4, device=where)
-        in_spans = wp.from_torch(spans, dtype=wp.vec2i, return_ctype=True)
-        out_spans = wp.from_torch(v_spans, dtype=wp.mat44, return_ctype=True)
-        v_records = _records(grad_outputs[0].contiguous())
-        inputs = [*ctx.inputs, _records(records), v_records, in_spans, _cloud(v_tensors), out_spans]
-        bounds = even(tasks, max(1, _WORTH_A_THREAD // _GAUSSIANS_PER_TASK[where.type]), ctx.threads)
-        with torch_stream(where):
-            launch(kernels.project_adjoint, bounds, inputs, wp.device_from_torch(where), ctx.threads)
-        if not needs_pose:
-            v_viewmats = None
-        elif len(objects.counts) == 1:
-            v_viewmats = v_spans.sum(1, keepdim=True)
-        else:
-            v_viewmats = torch.zeros_like(tensors[5]).index_add_(1, object_from_task, v_spans)
-        return None, None, None, None, *v_tensors, v_viewmats
+        v_spans = torch.empty(len(tensors[5]), len(spans) if needs_pose else 0, 4, 4, device=where)
+        return SceneGradient(
+            v_tensors,
+            v_spans,
+            needs_pose,
+            object_from_span,
+            wp.from_torch(spans, dtype=wp.vec2i, return_ctype=True),
+            _cloud(v_tensors),
+            wp.from_torch(v_spans, dtype=wp.mat44, return_ctype=True),
+            scene.objects,
+        )
+
+    def tensors(self) -> list[Tensor | None]:
+        """By the tensors of the scene; by the poses None where nobody asked."""
+        if not self.needs_pose:
+            return [*self.v_tensors, None]
+        if len(self.objects.counts) == 1:
+            return [*self.v_tensors, self.v_spans.sum(1, keepdim=True)]
+        v_viewmats = self.v_spans.new_zeros(len(self.v_spans), len(self.objects.counts), 4, 4)
+        return [*self.v_tensors, v_viewmats.index_add_(1, self.object_from_span, self.v_spans)]
+
+
+def project_into(records: Tensor, scene: Scene, threads: int) -> None:
+    """Write the records of a scene, which come first in each view's [V, N, 16]."""
+    where = records.device
+    lanes = LANES[where.type]
+    groups = len(records) * -(-sum(scene.objects.counts) // lanes)
+    bounds = even(groups, _WORTH_A_THREAD // lanes, threads)
+    inputs = [scene.cloud, scene.lens, records.shape[1], as_records(records)]
+    launch(kernels.project, bounds, inputs, wp.device_from_torch(where), threads)
+
+
+def project_adjoint(gradient: SceneGradient, scene: Scene, records: Tensor, v_records: Tensor, threads: int) -> None:
+    """Fill a gradient from that by the scene's records, [V, T, 16]."""
+    where, tasks = records.device, len(gradient.object_from_span)
+    inputs = [scene.cloud, scene.lens, records.shape[1], as_records(records), as_records(v_records)]
+    inputs += [gradient.spans, gradient.v_cloud, gradient.out_spans]
+    bounds = even(tasks, max(1, _WORTH_A_THREAD // _GAUSSIANS_PER_TASK[where.type]), threads)
+    launch(kernels.project_adjoint, bounds, inputs, wp.device_from_torch(where), threads)
+
+
+def as_records(records: Tensor) -> Any:
+    """[..., 16] for the kernels."""
+    return wp.from_torch(records.view(-1, 16), dtype=kernels.record16, return_ctype=True)
 
 
 @lru_cache(16)
@@ -133,7 +208,3 @@ def _lens(view: View, objects: Objects, antialiased: bool, viewmats: Tensor) -> 
     lens.width, lens.height = float(view.width), float(view.height)
     lens.antialiased = int(antialiased)
     return lens
-
-
-def _records(records: Tensor) -> Any:
-    return wp.from_torch(records.view(-1, 16), dtype=kernels.record16, return_ctype=True)
