@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dwgs.distill.shots import Shot
 from dwgs.metrics import psnr, ssim
-from dwgs.splat import Splats, View, composite, project
+from dwgs.splat import Splats, View, render
 
 OBJECT_ALPHA = 0.5
 """A pixel is the vehicle's own where its body alone covers more than this."""
@@ -33,9 +33,8 @@ class Score:
 def score(shot: Shot, view: View, body: Splats, shadow: Splats, threads: int) -> tuple[Score, NDArray[np.float32]]:
     """Score one frame, and the window [h, w, 3] as it is rendered."""
     with torch.no_grad():
-        vehicle = [project(part, view, threads=threads) for part in (body, shadow)]
-        rendered = shot.frozen.exposed(shot.frozen.composite(vehicle, view, threads).rgb)
-        alpha = composite(vehicle[0], view, threads=threads).alpha
+        rendered = shot.frozen.exposed(shot.frozen.render(Splats.cat([body, shadow]), view, threads).rgb)
+        alpha = render(body, view, threads=threads).alpha
     frame, region = shot.sight.frame, shot.sight.region
     image, target = rendered.numpy(), shot.pixels.astype(np.float32) / 255
     supervised = region.supervised

@@ -15,7 +15,7 @@ from dwgs.distill.coverage import Coverage
 from dwgs.distill.evaluate import score, summary
 from dwgs.distill.initialize import initialize_body
 from dwgs.distill.layers import Frozen, FrozenBackground
-from dwgs.distill.model import BODY_SCALES, SHADOW_SCALES, BoxPoses, Part, body_bounds, shadow_bounds
+from dwgs.distill.model import BoxPoses, Vehicle
 from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
 from dwgs.optimize import (
@@ -33,7 +33,7 @@ from dwgs.optimize import (
 )
 from dwgs.optimize.schedule import Pace
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, VehicleAsset
-from dwgs.splat import Splats, project
+from dwgs.splat import Splats
 
 TAIL = 0.1
 """Fraction of the schedule, its end, over which the result is averaged."""
@@ -67,20 +67,15 @@ def distill(
     sights = find_sights(scene, frozen, insertion, recipe, config.threads)
     shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
     body = initialize_body(insertion.vehicle, insertion.size, config.gaussians)
-    parts = [
-        Part(body, recipe.body, body_bounds(insertion.size), BODY_SCALES),
-        Part(shadow, recipe.shadow, shadow_bounds(insertion.size, shadow), SHADOW_SCALES),
-    ]
-    yield Grown(0, len(body) + len(shadow))
+    vehicle = Vehicle(body, shadow, insertion.size, recipe)
+    yield Grown(0, len(vehicle))
 
-    bounds = np.stack([part.bounds for part in parts])
-    bounds = np.stack([bounds[:, 0].min(0), bounds[:, 1].max(0)])
     prepare = partial(
         prepare_shots,
         scene=scene,
         background=frozen,
         insertion=insertion,
-        bounds=bounds,
+        bounds=vehicle.bounds,
         threads=config.threads,
     )
     learnt = [i for i, sight in enumerate(sights) if not sight.held_out]
@@ -97,8 +92,8 @@ def distill(
             f"preparing {len(shots)} frames took {prepared - started:.1f} s of the {config.seconds:g} s given; "
             "give more, or fewer frames"
         )
-    steps = yield from _fit(shots, parts, poses, recipe, config, schedule)
-    body, shadow = (part.finish() for part in parts)
+    steps = yield from _fit(shots, vehicle, poses, recipe, config, schedule)
+    body, shadow = vehicle.finish()
     if poses is not None:
         times = np.array([sight.frame.camera.time for sight in sights])
         poses.interpolate(times, np.array([not sight.held_out for sight in sights]))
@@ -131,7 +126,7 @@ def distill(
 
 def _fit(
     shots: dict[int, Shot],
-    parts: list[Part],
+    vehicle: Vehicle,
     poses: BoxPoses | None,
     recipe: Recipe,
     config: DistillConfig,
@@ -148,15 +143,13 @@ def _fit(
         view = shot.view
         if poses is not None and step > len(learnt):
             view = shot.view_at(poses.old_from_new(i))
-        vehicle = [project(part.splats(), view, threads=config.threads) for part in parts]
-        rendering = shot.frozen.composite(vehicle, view, config.threads)
+        rendering = shot.frozen.render(vehicle.splats(), view, config.threads)
         loss = _photometric(shot.frozen.exposed(rendering.rgb), shot, recipe, squared_errors, i)
         if shot.lidar is not None and config.lidar_weight > 0:
             loss = loss + config.lidar_weight * shot.lidar.error(rendering)
         loss.backward()
         factor = hold_then_decay(pace.progress, recipe.hold, recipe.final)
-        for part in parts:
-            part.step(factor, is_averaged=pace.progress > 1 - TAIL)
+        vehicle.step(factor, is_averaged=pace.progress > 1 - TAIL)
         if poses is not None and view is not shot.view:
             poses.step(factor)
         yield Step(step, pace.steps, loss.item())

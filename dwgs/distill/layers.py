@@ -20,7 +20,7 @@ from torch import Tensor
 from dwgs.scene import Background, Camera, Frame, Trajectory
 from dwgs.scene.pose import inverse, transform_points
 from dwgs.scene.sky import pixel_rays, sky_colors
-from dwgs.splat import Layers, Projected, Rendering, Splats, View, composite, project
+from dwgs.splat import Layers, Projected, Rendering, Splats, View, composite, project, render
 from dwgs.splat.constants import STOP_TRANSMITTANCE
 
 DEPTH_SLACK = 1e-3
@@ -38,9 +38,10 @@ class FrozenView:
     gain: Tensor
     """[3] exposure of this camera, on the composited colour."""
 
-    def composite(self, vehicle: list[Projected], view: View, threads: int) -> Rendering:
-        """The window with the parts of a vehicle in it, before exposure."""
-        return composite([*vehicle, self.between], view, self.layers, threads=threads)
+    def render(self, vehicle: Splats, view: View, threads: int) -> Rendering:
+        """The window with a vehicle in it, before exposure."""
+        among = self.between if len(self.between) else None
+        return render(vehicle, view, self.layers, among=among, threads=threads)
 
     def alone(self, view: View) -> Tensor:
         """[h, w, 3] the window without the vehicle, exposed."""

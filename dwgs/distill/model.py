@@ -1,11 +1,14 @@
 """The vehicle while it is learnt: body and shadow, each kept in its place, and the poses of its box."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dwgs.optimize import PoseParameters, Rates, SplatParameters
+from dwgs.distill.config import Recipe
+from dwgs.optimize import PoseParameters, SplatParameters, Together
 from dwgs.scene import Gaussians
 from dwgs.splat import Splats
 
@@ -30,41 +33,53 @@ TRANSLATION_RATE = 8e-3
 """Step size of a box's position [m]."""
 
 
-class Part:
-    """Gaussians whose centres cannot leave ``bounds`` [2, 3] (lowest, highest corner) [m] of the vehicle.
+class Vehicle:
+    """Body and shadow, whose centres cannot leave ``bounds`` [2, 3] (lowest, highest corner) [m] of the vehicle.
 
     The layers of the background hold only while they stay there.
     """
 
-    def __init__(
-        self, gaussians: Gaussians, rates: Rates, bounds: NDArray[np.float64], max_scales: tuple[float, ...]
-    ) -> None:
-        self.bounds = bounds
-        self._parameters = SplatParameters(gaussians, rates, bounds=bounds, max_scales=max_scales)
-        self._average: Tensor | None = None
+    def __init__(self, body: Gaussians, shadow: Gaussians, size: NDArray, recipe: Recipe) -> None:
+        limits = body_bounds(size), shadow_bounds(size, shadow)
+        self.bounds = np.stack([np.minimum(*(low for low, _ in limits)), np.maximum(*(high for _, high in limits))])
+        padded = Gaussians.concatenate([body, shadow])
+        self._sh_counts = body.sh.shape[1], shadow.sh.shape[1]
+        clouds = padded[: len(body)], padded[len(body) :]
+        rates, scales = (recipe.body, recipe.shadow), (BODY_SCALES, SHADOW_SCALES)
+        self._parts = [
+            SplatParameters(cloud, rate, bounds=limit, max_scales=most)
+            for cloud, rate, limit, most in zip(clouds, rates, limits, scales, strict=True)
+        ]
+        self._together = Together(self._parts)
+        self._average: list[Tensor] = []
         self._averaged = 0
 
     def __len__(self) -> int:
-        return len(self._parameters)
+        return len(self.splats())
 
     def splats(self) -> Splats:
-        """The activated Gaussians, differentiable."""
-        return self._parameters.splats()
+        """The activated Gaussians, the body's first; differentiable."""
+        return self._together.splats()
 
     def step(self, factor: float, is_averaged: bool) -> None:
         """One step of Adam, rates times ``factor``; ``is_averaged`` adds it to the mean of `finish`."""
-        self._parameters.step(factor)
+        self._together.step(factor)
         if is_averaged:
-            flat = self._parameters.flat()
+            flats = [part.flat() for part in self._parts]
             self._averaged += 1
-            self._average = flat if self._average is None else self._average.lerp_(flat, 1 / self._averaged)
+            for average, flat in zip(self._average, flats, strict=False):
+                average.lerp_(flat, 1 / self._averaged)
+            self._average = self._average or flats
 
-    def finish(self) -> Gaussians:
-        """The mean over the averaged steps, without what is too faint ever to be drawn."""
-        if self._average is not None:
-            self._parameters.load_flat(self._average)
-        gaussians = self._parameters.to_gaussians()
-        return gaussians[gaussians.opacities >= CUT]
+    def finish(self) -> tuple[Gaussians, Gaussians]:
+        """Body and shadow, the mean over the averaged steps, without what is too faint ever to be drawn."""
+        for part, average in zip(self._parts, self._average, strict=False):
+            part.load_flat(average)
+        body, shadow = (part.to_gaussians() for part in self._parts)
+        body, shadow = (
+            replace(cloud, sh=cloud.sh[:, :count]) for cloud, count in zip((body, shadow), self._sh_counts, strict=True)
+        )
+        return body[body.opacities >= CUT], shadow[shadow.opacities >= CUT]
 
 
 def body_bounds(size: NDArray) -> NDArray[np.float64]:

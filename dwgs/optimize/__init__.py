@@ -11,6 +11,7 @@ from dwgs.optimize.losses import weighted_mse as weighted_mse
 from dwgs.optimize.parameters import PoseParameters as PoseParameters
 from dwgs.optimize.parameters import Rates as Rates
 from dwgs.optimize.parameters import SplatParameters as SplatParameters
+from dwgs.optimize.parameters import Together as Together
 from dwgs.optimize.schedule import count_steps as count_steps
 from dwgs.optimize.schedule import fill_time as fill_time
 from dwgs.optimize.schedule import hold_then_decay as hold_then_decay

@@ -1,4 +1,4 @@
-"""Adam on several tensors of parameters: everything but the gradients stays in place."""
+"""Adam on the parameters of Gaussians, and the Gaussians it leads to: everything but the gradients stays in place."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from dwgs.optimize.kernels import adam_cpu, adam_cuda
+from dwgs.optimize.kernels import activation, adam_cpu, adam_cuda
 from dwgs.splat.ops.stream import torch_stream
 from dwgs.splat.parallel import even, launch
 
@@ -33,6 +33,45 @@ class Group:
     period: int
 
 
+_ROUNDS = adam_cpu.LANES // 3 + 2
+NAMES = ("means", "quats", "scales", "opacities", "sh")
+"""Of the groups."""
+
+
+@dataclass(frozen=True)
+class Activated:
+    """Gaussians whose parameters are optimised; what bounds them and how they follow. Tensors [N, ...]."""
+
+    origins: Tensor
+    """Where the means began [m]."""
+    strides: Tensor
+    """[N, 3] how far a mean goes with its parameter [m]."""
+    means: Tensor
+    scales: Tensor
+    scale_derivative: Tensor
+    opacities: Tensor
+    opacity_derivative: Tensor
+    lows: Tensor
+    """[3] bounds of the means [m]."""
+    highs: Tensor
+    """[3]."""
+    most: Tensor
+    """[3] those of the scales [m]."""
+
+    def activate(self, groups: Mapping[str, Group]) -> Any:
+        """Make them what their parameters say; for the kernels, the same."""
+        to = activation.Activation()
+        for name, tensor in vars(self).items():
+            goes_round = name in ("lows", "highs", "most")
+            setattr(to, name, wp.from_torch(tensor.repeat(_ROUNDS) if goes_round else tensor.view(-1)))
+        raw = [wp.from_torch(groups[name].raw.view(-1)) for name in ("means", "scales", "opacities")]
+        size = 1 if self.means.is_cuda else adam_cpu.SPAN
+        device = wp.device_from_torch(self.means.device)
+        with torch_stream(self.means.device):
+            launch(activation.activate, [0, -(-len(self.means) // size)], [size, *raw, to], device, 1)
+        return to
+
+
 class Adam(Protocol):
     """Steps of groups by name."""
 
@@ -45,22 +84,29 @@ class Adam(Protocol):
         ...
 
 
-def adam(groups: Mapping[str, Group]) -> Adam:
-    """On a CPU or on a GPU, wherever they are."""
-    is_cuda = any(group.raw.is_cuda for group in groups.values())
-    return _OnCuda(groups) if is_cuda else _OnCpu(groups)
+def adam(groups: Mapping[str, Group], activated: Activated) -> Adam:
+    """On a CPU or on a GPU, wherever they are; the Gaussians are those of the parameters from now on."""
+    return (_OnCuda if activated.means.is_cuda else _OnCpu)(groups, activated)
 
 
 class _OnCpu:
-    def __init__(self, groups: Mapping[str, Group]) -> None:
-        self._groups = {name: _CpuGroup(group) for name, group in groups.items()}
+    def __init__(self, groups: Mapping[str, Group], activated: Activated) -> None:
+        self._to = activated.activate(groups)
+        self._groups = {name: _CpuGroup(groups[name]) for name in NAMES}
+        self._sums = np.zeros((-(-len(activated.means) // adam_cpu.SPAN), len(NAMES), 2), np.float32)
+        self._out = wp.array(self._sums, dtype=wp.vec2, device="cpu", copy=False)
 
     def step(self, gradients: Mapping[str, Tensor], clock: Tensor, betas: tuple[float, float], still: float) -> None:
         clock[0] += 1
         steps, factor, *_ = clock.tolist()
         unbiased = 1 / (1 - betas[0] ** steps), (1 - betas[1] ** steps) ** -0.5
-        for name, gradient in gradients.items():
-            self._groups[name].step(gradient, factor, [*betas, *unbiased], still)
+        inputs = [group.prepare(gradients.get(name), factor, still) for name, group in self._groups.items()]
+        bounds = even(len(self._sums), WORTH_A_THREAD, THREADS)
+        device = wp.get_device("cpu")
+        launch(adam_cpu.adam, bounds, [*inputs, *betas, *unbiased, self._to, self._out], device, THREADS)
+        for name, sums in zip(NAMES, self._sums.sum(0, dtype=np.float64), strict=True):
+            if name in gradients:
+                self._groups[name].mean_squares = sums / self._groups[name].sizes
 
 
 class _CpuGroup:
@@ -72,33 +118,29 @@ class _CpuGroup:
         is_rest = self._is_rest[:period] > 0
         by_place = group.moments[1].reshape(-1, period).double().sum(0).numpy()
         classes = ~is_rest, is_rest
-        self._sizes = np.array([max(raw.numel() // period * place.sum(), 1) for place in classes])
-        self._mean_squares = np.array([by_place[place].sum() for place in classes]) / self._sizes
-        self._sums = np.zeros((-(-raw.numel() // adam_cpu.SPAN), 2), np.float32)
-        self._out = wp.array(self._sums, dtype=wp.vec2, device="cpu", copy=False)
+        self.sizes = np.array([max(raw.numel() // period * place.sum(), 1) for place in classes])
+        self.mean_squares = np.array([by_place[place].sum() for place in classes]) / self.sizes
         self._group = _fill(adam_cpu.Group(), group)
         for key, pattern in {"rates": self._rates, "stills": self._stills, "is_rest": self._is_rest}.items():
             setattr(self._group, key, wp.array(pattern, dtype=float, device="cpu", copy=False))
 
-    def step(self, gradient: Tensor, factor: float, numbers: list[float], still: float) -> None:
-        usual, rest = np.maximum(still * np.sqrt(self._mean_squares), EPSILON)
+    def prepare(self, gradient: Tensor | None, factor: float, still: float) -> Any:
+        """The same for the kernel, to step along a gradient."""
+        usual, rest = np.maximum(still * np.sqrt(self.mean_squares), EPSILON)
         np.multiply(self._base, factor, out=self._rates)
         self._stills[:] = np.where(self._is_rest > 0, rest, usual)
-        inputs = [self._group, wp.from_torch(gradient.view(-1), return_ctype=True), *numbers, self._out]
-        bounds = even(len(self._sums), WORTH_A_THREAD, THREADS)
-        launch(adam_cpu.adam, bounds, inputs, wp.get_device("cpu"), THREADS)
-        self._mean_squares = self._sums.sum(0, dtype=np.float64) / self._sizes
+        self._group.gradient = None if gradient is None else wp.from_torch(gradient.view(-1))
+        return self._group
 
 
 class _OnCuda:
-    def __init__(self, groups: Mapping[str, Group]) -> None:
-        self._variances = [group.moments[1].view(-1, group.period) for group in groups.values()]
-        self._groups = {name: _fill(adam_cuda.Group(), group) for name, group in groups.items()}
-        for name, group in groups.items():
-            self._groups[name].rate, self._groups[name].rest_rate = group.rates
-        where = self._variances[0].device
-        self._stills = torch.full((len(groups), 2), EPSILON, device=where)
-        self._nothing = wp.zeros(0, dtype=float, device=wp.device_from_torch(where))
+    def __init__(self, groups: Mapping[str, Group], activated: Activated) -> None:
+        self._to = activated.activate(groups)
+        self._variances = [groups[name].moments[1].view(-1, groups[name].period) for name in NAMES]
+        self._groups = {name: _fill(adam_cuda.Group(), groups[name]) for name in NAMES}
+        for name, group in self._groups.items():
+            group.rate, group.rest_rate = groups[name].rates
+        self._stills = torch.full((len(NAMES), 2), EPSILON, device=activated.means.device)
 
     def step(self, gradients: Mapping[str, Tensor], clock: Tensor, betas: tuple[float, float], still: float) -> None:
         if still:
@@ -107,10 +149,10 @@ class _OnCuda:
                     if part.numel():
                         stills[k].copy_((still * part.mean().sqrt()).clamp_min(EPSILON))
         for name, group in self._groups.items():
-            group.gradient = wp.from_torch(gradients[name].view(-1)) if name in gradients else self._nothing
+            group.gradient = wp.from_torch(gradients[name].view(-1)) if name in gradients else None
         count = sum(gradient.numel() for gradient in gradients.values())
         in_clock, device = wp.from_torch(clock), wp.device_from_torch(clock.device)
-        inputs = [*self._groups.values(), in_clock, wp.from_torch(self._stills), *betas]
+        inputs = [*self._groups.values(), in_clock, wp.from_torch(self._stills), *betas, self._to]
         with torch_stream(clock.device):
             wp.launch(adam_cuda.tick, 1, [in_clock, *betas], device=device, record_tape=False)
             wp.launch(adam_cuda.adam, count, inputs, device=device, record_tape=False)
@@ -118,8 +160,9 @@ class _OnCuda:
 
 def _fill(struct: Any, group: Group) -> Any:
     """What both kernels take."""
-    derivative = group.raw.new_zeros(0) if group.derivative is None else group.derivative
-    tensors = {"raw": group.raw, "moment": group.moments[0], "variance": group.moments[1], "derivative": derivative}
+    tensors = {"raw": group.raw, "moment": group.moments[0], "variance": group.moments[1]}
+    if group.derivative is not None:
+        tensors["derivative"] = group.derivative
     for key, tensor in tensors.items():
         setattr(struct, key, wp.from_torch(tensor.view(-1)))
     struct.period = group.period

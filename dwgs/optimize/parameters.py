@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dwgs.optimize.adam import Group, adam
+from dwgs.optimize.adam import NAMES, Activated, Group, adam
 from dwgs.scene import Gaussians
 from dwgs.splat import Splats
 
@@ -60,29 +61,19 @@ class SplatParameters:
         device: torch.device | str = "cpu",
     ) -> None:
         self.rates, self._device = rates, torch.device(device)
-        limits = None if bounds is None else torch.from_numpy(np.float32(bounds)).to(device)
-        self._low, self._high = (None, None) if limits is None else limits.unbind(0)
-        self._max_scales = None if max_scales is None else torch.tensor(max_scales, device=device)
+        unbounded = np.array([[-np.inf] * 3, [np.inf] * 3])
+        limits = torch.from_numpy(np.float32(unbounded if bounds is None else bounds)).to(device)
+        most = torch.tensor([torch.inf] * 3 if max_scales is None else max_scales, device=device)
+        self._limits = dict(zip(("lows", "highs", "most"), (*limits, most), strict=True))
         self._clock = torch.zeros(4, device=device)  # see `Adam`: on a GPU, where a graph reads it
         raw = self._raw_from(gaussians, mean_step_scale)
-        self._install(raw, {name: [torch.zeros_like(raw[name]) for _ in range(2)] for name in _GROUPS})
+        self._install(raw, {name: [torch.zeros_like(raw[name]) for _ in range(2)] for name in NAMES})
 
     def __len__(self) -> int:
         return len(self._raw["opacities"])
 
     def splats(self) -> Splats:
         """The activated Gaussians; a gradient flows to them, until the next `step`."""
-        if self._splats is None:
-            raw = self._raw
-            means = torch.addcmul(raw["origins"], raw["means"], raw["mean_derivative"])
-            scales = torch.exp(raw["scales"], out=raw["scale_derivative"])
-            opacities = raw["opacities"].sigmoid()
-            if self._low is not None:
-                means = means.clamp_(self._low, self._high)
-            if self._max_scales is not None:
-                scales = torch.minimum(scales, self._max_scales, out=scales)
-            leaves = (means, raw["quats"], scales, opacities, raw["sh"])
-            self._splats = Splats(*(leaf.detach().requires_grad_() for leaf in leaves))
         return self._splats
 
     def step(self, factor: float | Tensor = 1.0) -> None:
@@ -90,42 +81,40 @@ class SplatParameters:
 
         In a captured graph a ``factor`` that is a tensor [] can change from replay to replay.
         """
-        if self._splats is None:
-            return
-        self._clock[1].fill_(factor)
-        opacities = self._splats.opacities.detach()
-        torch.mul(opacities, 1 - opacities, out=self._raw["opacity_derivative"])
-        leaves = {name: getattr(self._splats, name) for name in _GROUPS}
-        gradients = {name: leaf.grad.contiguous() for name, leaf in leaves.items() if leaf.grad is not None}
-        self._adam.step(gradients, self._clock, self.rates.betas, self.rates.stillness)
-        self._splats = None
+        self._follow(_used_up(self._splats), factor)
 
     def append(self, gaussians: Gaussians, mean_step_scale: Tensor | None = None) -> None:
         """Add Gaussians; the optimiser knows nothing of them yet and keeps what it knows of the others."""
         fresh = self._raw_from(gaussians, mean_step_scale)
         raw = {name: torch.cat([self._raw[name], fresh[name]]) for name in fresh}
-        nothing = {name: torch.zeros_like(fresh[name]) for name in _GROUPS}
-        self._install(raw, {name: [torch.cat([m, nothing[name]]) for m in self._moments[name]] for name in _GROUPS})
+        nothing = {name: torch.zeros_like(fresh[name]) for name in NAMES}
+        self._install(raw, {name: [torch.cat([m, nothing[name]]) for m in self._moments[name]] for name in NAMES})
 
     def keep(self, mask: Tensor) -> None:
         """Keep only the Gaussians where ``mask`` [N] is True."""
-        moments = {name: [moment[mask] for moment in self._moments[name]] for name in _GROUPS}
+        moments = {name: [moment[mask] for moment in self._moments[name]] for name in NAMES}
         self._install({name: values[mask] for name, values in self._raw.items()}, moments)
 
     def to_gaussians(self) -> Gaussians:
         """A detached copy, activated."""
-        return self.splats().to_gaussians()
+        return self._own.to_gaussians()
 
     def flat(self) -> Tensor:
         """A detached copy of all parameters in one vector: what an average over steps is taken of."""
-        return torch.cat([self._raw[name].reshape(-1) for name in _GROUPS])
+        return torch.cat([self._raw[name].reshape(-1) for name in NAMES])
 
     def load_flat(self, flat: Tensor) -> None:
         """Put back what `flat` gave."""
-        sizes = [self._raw[name].numel() for name in _GROUPS]
-        for name, part in zip(_GROUPS, flat.split(sizes), strict=True):
+        sizes = [self._raw[name].numel() for name in NAMES]
+        for name, part in zip(NAMES, flat.split(sizes), strict=True):
             self._raw[name].copy_(part.view_as(self._raw[name]))
-        self._splats = None
+        self._place(self._splats, self._begin)
+
+    def _follow(self, gradients: dict[str, Tensor], factor: float | Tensor) -> None:
+        """Step along the gradients by these Gaussians."""
+        if gradients:
+            self._clock[1].fill_(factor)
+            self._adam.step(gradients, self._clock, self.rates.betas, self.rates.stillness)
 
     def _raw_from(self, gaussians: Gaussians, mean_step_scale: Tensor | None) -> dict[str, Tensor]:
         means, quats, scales, opacities, sh = (
@@ -136,33 +125,84 @@ class SplatParameters:
         return {
             "origins": means,
             "means": torch.zeros_like(means),
-            "mean_derivative": step_scales[:, None].expand(-1, 3).contiguous(),
+            "strides": step_scales[:, None].expand(-1, 3).contiguous(),
             "quats": quats,
             "scales": scales.log(),
-            "scale_derivative": scales,
             "opacities": opacities.clamp(1 - MAX_OPACITY, MAX_OPACITY).logit(),
-            "opacity_derivative": torch.empty_like(opacities),
             "sh": sh,
         }
 
     def _install(self, raw: dict[str, Tensor], moments: dict[str, list[Tensor]]) -> None:
         self._raw, self._moments = raw, moments
-        self._splats: Splats | None = None
-        derivatives = {"means": "mean_derivative", "scales": "scale_derivative", "opacities": "opacity_derivative"}
+        leaves = [torch.empty_like(raw["means"]), raw["quats"], torch.empty_like(raw["scales"])]
+        leaves += [torch.empty_like(raw["opacities"]), raw["sh"]]
+        self._place(Splats(*(leaf.requires_grad_() for leaf in leaves)), 0)
+
+    def _place(self, splats: Splats, begin: int) -> None:
+        """From now on be the Gaussians [begin, begin + N) of these."""
+        self._splats, self._begin = splats, begin
+        own = {name: getattr(splats, name).detach()[begin : begin + len(self)] for name in NAMES}
+        self._own = Splats(**own)
+        for name in ("quats", "sh"):  # which are their own parameters
+            own[name].copy_(self._raw[name].detach())
+            self._raw[name] = own[name]
+        raw, sh_period = self._raw, 3 * self._raw["sh"].shape[1]
+        scale_derivative, opacity_derivative = torch.empty_like(raw["scales"]), torch.empty_like(raw["opacities"])
+        derivatives = {"means": raw["strides"], "scales": scale_derivative, "opacities": opacity_derivative}
         groups = {
             name: Group(
                 raw[name],
-                moments[name],
-                raw.get(derivatives.get(name, "")),
+                self._moments[name],
+                derivatives.get(name),
                 (self.rates.sh_dc, self.rates.sh_rest) if name == "sh" else (getattr(self.rates, name), 0.0),
-                3 * raw["sh"].shape[1] if name == "sh" else 1,
+                sh_period if name == "sh" else 1,
             )
-            for name in _GROUPS
+            for name in NAMES
         }
-        self._adam = adam(groups)
+        activated = Activated(
+            raw["origins"],
+            raw["strides"],
+            own["means"],
+            own["scales"],
+            scale_derivative,
+            own["opacities"],
+            opacity_derivative,
+            **self._limits,
+        )
+        self._adam = adam(groups, activated)
 
 
-_GROUPS = ("means", "quats", "scales", "opacities", "sh")
+class Together:
+    """Several parameters as one cloud, which one rendering shows; from now on they step together.
+
+    Their spherical harmonics have one degree.
+    """
+
+    def __init__(self, parts: Sequence[SplatParameters]) -> None:
+        self._parts, self._bounds = parts, [0, *accumulate(map(len, parts))]
+        self._splats = Splats.cat([part.splats() for part in parts])
+        self._splats = Splats(*(getattr(self._splats, name).detach().requires_grad_() for name in NAMES))
+        for part, begin in zip(parts, self._bounds, strict=False):
+            part._place(self._splats, begin)
+
+    def splats(self) -> Splats:
+        """The activated Gaussians, those of the first part first; a gradient flows to them, until the next `step`."""
+        return self._splats
+
+    def step(self, factor: float) -> None:
+        """One step of every part, see `SplatParameters.step`."""
+        gradients = _used_up(self._splats)
+        for part, begin, end in zip(self._parts, self._bounds, self._bounds[1:], strict=False):
+            part._follow({name: gradient[begin:end] for name, gradient in gradients.items()}, factor)
+
+
+def _used_up(splats: Splats) -> dict[str, Tensor]:
+    """The gradients that a loss left, which are gone after this."""
+    leaves = {name: getattr(splats, name) for name in NAMES}
+    gradients = {name: leaf.grad.contiguous() for name, leaf in leaves.items() if leaf.grad is not None}
+    for leaf in leaves.values():
+        leaf.grad = None
+    return gradients
 
 
 class PoseParameters:

@@ -30,7 +30,7 @@ def layered(toy, camera, body, slack=0.0):
     bounds = np.stack([-toy.insertion.size / 2, toy.insertion.size / 2])
     interval = depth_interval(camera.camera_from_world @ world_from_vehicle, bounds, slack)
     frozen = FrozenBackground(toy.background, []).freeze(camera, "front", interval)
-    rendering = frozen.composite([project(body, view)], view, threads=1)
+    rendering = frozen.render(body, view, threads=1)
     return (rendering.rgb, rendering.depth, rendering.alpha), frozen
 
 

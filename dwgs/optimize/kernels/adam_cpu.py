@@ -3,13 +3,14 @@
 
 import warp as wp
 
+from dwgs.optimize.kernels.activation import Activation, activate_means, activate_opacities, activate_scales
 from dwgs.warp_start import start_warp
 
 start_warp()
 wp.set_module_options({"enable_backward": False})
 
-SPAN = 16384
-"""Numbers per task."""
+SPAN = 1024
+"""Gaussians per task."""
 LANES = 16
 """Numbers per instruction."""
 
@@ -28,6 +29,8 @@ class Group:
     """Running mean of its square."""
     derivative: wp.array(dtype=float)
     """Of the activated by the raw parameter; empty: 1."""
+    gradient: wp.array(dtype=float)
+    """By the activated parameter; empty: nothing moves."""
     rates: wp.array(dtype=float)
     stills: wp.array(dtype=float)
     """Below this a gradient moves its parameter in proportion only: Adam's epsilon."""
@@ -39,6 +42,7 @@ class Group:
 @wp.func_native("""
     typedef float block __attribute__((vector_size(64)));
     typedef float loose __attribute__((vector_size(64), aligned(4)));
+    if (group.gradient.shape[0] == 0) return wp::vec2(0.0f, 0.0f);
     const bool derived = group.derivative.shape[0] > 0;
     auto advance = [&](auto g, auto d, auto& raw, auto& m, auto& v, auto rate, auto still, auto root) {
         g *= d;
@@ -53,7 +57,7 @@ class Group:
         const int p = i % group.period;
         block raw = load(group.raw.data + i), m = load(group.moment.data + i), v = load(group.variance.data + i);
         const block d = derived ? load(group.derivative.data + i) : block{} + 1.0f;
-        advance(load(gradient.data + i), d, raw, m, v, load(group.rates.data + p), load(group.stills.data + p),
+        advance(load(group.gradient.data + i), d, raw, m, v, load(group.rates.data + p), load(group.stills.data + p),
                 [](block x) -> block { return __builtin_elementwise_sqrt(x); });
         *(loose*)(group.raw.data + i) = raw;
         *(loose*)(group.moment.data + i) = m;
@@ -66,7 +70,7 @@ class Group:
     for (; i < end; ++i) {
         const int p = i % group.period;
         float raw = group.raw.data[i], m = group.moment.data[i], v = group.variance.data[i];
-        advance(gradient.data[i], derived ? group.derivative.data[i] : 1.0f, raw, m, v, group.rates.data[p],
+        advance(group.gradient.data[i], derived ? group.derivative.data[i] : 1.0f, raw, m, v, group.rates.data[p],
                 group.stills.data[p], [](float x) -> float { return __builtin_sqrtf(x); });
         group.raw.data[i] = raw;
         group.moment.data[i] = m;
@@ -76,33 +80,39 @@ class Group:
     }
     return wp::vec2(total - total_rest, total_rest);
 """)
-def adam_span(
-    begin: int,
-    end: int,
-    group: Group,
-    gradient: wp.array(dtype=float),
-    beta1: float,
-    beta2: float,
-    step1: float,
-    step2: float,
-) -> wp.vec2:
+def adam_span(begin: int, end: int, group: Group, beta1: float, beta2: float, step1: float, step2: float) -> wp.vec2:
     """One step for the parameters [begin, end); the sums of both classes' new variances."""
 
 
 @wp.kernel
 def adam(
     first: int,
-    group: Group,
-    gradient: wp.array(dtype=float),
+    means: Group,
+    quats: Group,
+    scales: Group,
+    opacities: Group,
+    sh: Group,
     beta1: float,
     beta2: float,
     step1: float,
     step2: float,
     # outputs
-    sums: wp.array(dtype=wp.vec2),
+    to: Activation,
+    sums: wp.array2d(dtype=wp.vec2),
 ):
-    """One step of a group, `SPAN` parameters a task; ``step1``, ``step2`` undo the moments' start at zero."""
+    """One step, `SPAN` Gaussians a task, and the Gaussians it leads to.
+
+    ``step1``, ``step2`` undo the moments' start at zero. ``sums`` are by task and group those of the new variances.
+    """
     task = first + wp.tid()
     begin = task * SPAN
-    end = wp.min(begin + SPAN, group.raw.shape[0])
-    sums[task] = adam_span(begin, end, group, gradient, beta1, beta2, step1, step2)
+    end = wp.min(begin + SPAN, opacities.raw.shape[0])
+    width = sh.period
+    sums[task, 0] = adam_span(3 * begin, 3 * end, means, beta1, beta2, step1, step2)
+    sums[task, 1] = adam_span(4 * begin, 4 * end, quats, beta1, beta2, step1, step2)
+    sums[task, 2] = adam_span(3 * begin, 3 * end, scales, beta1, beta2, step1, step2)
+    sums[task, 3] = adam_span(begin, end, opacities, beta1, beta2, step1, step2)
+    sums[task, 4] = adam_span(width * begin, width * end, sh, beta1, beta2, step1, step2)
+    activate_means(3 * begin, 3 * end, means.raw, to)
+    activate_scales(3 * begin, 3 * end, scales.raw, to)
+    activate_opacities(begin, end, opacities.raw, to)

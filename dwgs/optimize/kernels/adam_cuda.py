@@ -3,6 +3,7 @@
 
 import warp as wp
 
+from dwgs.optimize.kernels.activation import Activation, activate_means, activate_opacities, activate_scales
 from dwgs.warp_start import start_warp
 
 start_warp()
@@ -58,8 +59,12 @@ def adam(
     stills: wp.array2d(dtype=float),
     beta1: float,
     beta2: float,
+    # outputs
+    to: Activation,
 ):
-    """One step. What changes from step to step is read from memory, so that a captured one can be replayed.
+    """One step, and the Gaussians it leads to.
+
+    What changes from step to step is read from memory, so that a captured one can be replayed.
 
     ``clock`` is as `tick` left it, ``stills`` holds by group Adam's epsilon for the first three of a period and for
     the rest.
@@ -67,15 +72,18 @@ def adam(
     i = wp.tid()
     if i < means.gradient.shape[0]:
         advance(means, i, clock, stills[0], beta1, beta2)
+        activate_means(i, i + 1, means.raw, to)
     i -= means.gradient.shape[0]
     if i >= 0 and i < quats.gradient.shape[0]:
         advance(quats, i, clock, stills[1], beta1, beta2)
     i -= quats.gradient.shape[0]
     if i >= 0 and i < scales.gradient.shape[0]:
         advance(scales, i, clock, stills[2], beta1, beta2)
+        activate_scales(i, i + 1, scales.raw, to)
     i -= scales.gradient.shape[0]
     if i >= 0 and i < opacities.gradient.shape[0]:
         advance(opacities, i, clock, stills[3], beta1, beta2)
+        activate_opacities(i, i + 1, opacities.raw, to)
     i -= opacities.gradient.shape[0]
     if i >= 0 and i < sh.gradient.shape[0]:
         advance(sh, i, clock, stills[4], beta1, beta2)

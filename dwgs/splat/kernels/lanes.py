@@ -36,6 +36,7 @@ NUMBERS = f"""
     auto any = [](truth m) -> bool {{ return m; }};
     auto root = [](number x) -> number {{ return sqrtf(x); }};
     auto logarithm = [](number x) -> number {{ return logf(x); }};
+    auto exponential = [](number x) -> number {{ return expf(x); }};
     auto to_precise = [](number x) -> precise {{ return x; }};
     auto to_number = [](precise x) -> number {{ return (float)x; }};
     auto sum = [](number x) -> float {{ return x; }};
@@ -54,6 +55,18 @@ NUMBERS = f"""
         const number m = (number)(bits - (exponent << 23)), s = (m - 1.0f) / (m + 1.0f), z = s * s;
         const number series = (((z / 9.0f + 1.0f / 7) * z + 1.0f / 5) * z + 1.0f / 3) * z;
         return __builtin_convertvector(exponent, number) * 0.69314718f + (2.0f * s + 2.0f * s * series);
+    }};
+    auto exponential = [&](number x) -> number {{  // good to an ulp or two; the series is that of Cephes
+        typedef int whole __attribute__((vector_size(64)));
+        x = x < -87.0f ? zero - 87.0f : x > 88.0f ? zero + 88.0f : x;
+        const number turns = x * 1.44269504f;
+        const whole exponent = __builtin_convertvector(turns + (turns < 0.0f ? zero - 0.5f : zero + 0.5f), whole);
+        const number n = __builtin_convertvector(exponent, number);
+        const number r = (x - n * 0.693359375f) + n * 2.12194440e-4f;
+        number series = r * 1.9875691500e-4f + 1.3981999507e-3f;
+        series = (series * r + 8.3334519073e-3f) * r + 4.1665795894e-2f;
+        series = (series * r + 1.6666665459e-1f) * r + 5.0000001201e-1f;
+        return (number)((whole)(series * r * r + r + 1.0f) + (exponent << 23));
     }};
     auto to_precise = [](number x) -> precise {{ return __builtin_convertvector(x, precise); }};
     auto to_number = [](precise x) -> number {{ return __builtin_convertvector(x, number); }};
