@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from dwgs.distill.config import GENERATED, RECORDED, DistillConfig, Recipe
 from dwgs.distill.coverage import Coverage
@@ -16,6 +15,7 @@ from dwgs.distill.evaluate import score, summary
 from dwgs.distill.initialize import initialize_body
 from dwgs.distill.layers import Frozen, FrozenBackground
 from dwgs.distill.model import BoxPoses, Vehicle
+from dwgs.distill.photometric import Photometric, photometric
 from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
 from dwgs.optimize import (
@@ -24,21 +24,16 @@ from dwgs.optimize import (
     Grown,
     Step,
     count_steps,
-    dssim,
     fill_time,
     hold_then_decay,
     view_order,
-    weighted_l1,
-    weighted_mse,
 )
 from dwgs.optimize.schedule import Pace
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, VehicleAsset
-from dwgs.splat import Splats
+from dwgs.splat import Drawing, RetainedCloud, Splats
 
 TAIL = 0.1
 """Fraction of the schedule, its end, over which the result is averaged."""
-DSSIM_SHARE = 0.2
-"""Of the robust loss."""
 EVENNESS = (0.5, 2.0)
 """Bounds on the weight that makes every view equally heavy."""
 
@@ -134,37 +129,38 @@ def _fit(
 ) -> Generator[Event, None, int]:
     """Run the schedule on ``shots`` by their number among all; gives how many steps it had."""
     learnt = list(shots)
+    cloud = RetainedCloud(vehicle.splats(), config.threads)
+    pictures = {i: shot.frozen.retain(cloud, shot.view) for i, shot in shots.items()}
+    judges: dict[int, tuple[Drawing, Photometric]] = {}
     squared_errors: dict[int, float] = {}
     order = view_order(len(learnt), config.seed)
     step = 0
     for pace in schedule:
         step, i = pace.step, learnt[next(order)]
-        shot = shots[i]
-        view = shot.view
+        shot, picture, viewmat = shots[i], pictures[i], None
         if poses is not None and step > len(learnt):
-            view = shot.view_at(poses.old_from_new(i))
-        rendering = shot.frozen.render(vehicle.splats(), view, config.threads)
-        loss = _photometric(shot.frozen.exposed(rendering.rgb), shot, recipe, squared_errors, i)
+            viewmat = shot.view_at(poses.old_from_new(i)).viewmat
+            picture.viewmat.copy_(viewmat.detach())
+        drawing = picture.draw()
+        if i not in judges or judges[i][0] is not drawing:
+            judges[i] = drawing, photometric(drawing, shot, recipe)
+        loss = judges[i][1]()
+        if not recipe.robust:
+            squared_errors[i] = max(loss, 1e-8)
+            mean = sum(squared_errors.values()) / len(squared_errors)
+            drawing.v_rgb.mul_(float(np.clip((mean / squared_errors[i]) ** 0.5, *EVENNESS)))
+        drawing.v_depth.zero_()
+        drawing.v_alpha.zero_()
         if shot.lidar is not None and config.lidar_weight > 0:
-            loss = loss + config.lidar_weight * shot.lidar.error(rendering)
-        loss.backward()
+            loss += shot.lidar.pull(drawing, config.lidar_weight)
+        picture.adjoint(pose=viewmat is not None)
         factor = hold_then_decay(pace.progress, recipe.hold, recipe.final)
         vehicle.step(factor, is_averaged=pace.progress > 1 - TAIL)
-        if poses is not None and view is not shot.view:
+        if poses is not None and viewmat is not None:
+            viewmat.backward(picture.v_viewmat)
             poses.step(factor)
-        yield Step(step, pace.steps, loss.item())
+        yield Step(step, pace.steps, loss)
     return step
-
-
-def _photometric(rgb: Tensor, shot: Shot, recipe: Recipe, squared_errors: dict[int, float], i: int) -> Tensor:
-    """The loss on colour of view ``i``; remembers its squared error."""
-    if recipe.robust:
-        l1 = weighted_l1(rgb, shot.target, shot.weight)
-        return (1 - DSSIM_SHARE) * l1 + DSSIM_SHARE * dssim(rgb, shot.target, shot.weight)
-    mse = weighted_mse(rgb, shot.target, shot.weight)
-    squared_errors[i] = max(mse.item(), 1e-8)
-    mean = sum(squared_errors.values()) / len(squared_errors)
-    return mse * float(np.clip((mean / squared_errors[i]) ** 0.5, *EVENNESS))
 
 
 def _evaluate(shots: list[Shot], body: Gaussians, shadow: Gaussians, poses: BoxPoses | None, threads: int) -> dict:

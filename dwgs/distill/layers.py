@@ -20,7 +20,7 @@ from torch import Tensor
 from dwgs.scene import Background, Camera, Frame, Trajectory
 from dwgs.scene.pose import inverse, transform_points
 from dwgs.scene.sky import pixel_rays, sky_colors
-from dwgs.splat import Layers, Projected, Rendering, Splats, View, composite, project, render
+from dwgs.splat import Layers, Picture, Projected, Rendering, RetainedCloud, Splats, View, composite, project, render
 from dwgs.splat.constants import STOP_TRANSMITTANCE
 
 DEPTH_SLACK = 1e-3
@@ -40,8 +40,15 @@ class FrozenView:
 
     def render(self, vehicle: Splats, view: View, threads: int) -> Rendering:
         """The window with a vehicle in it, before exposure."""
-        among = self.between if len(self.between) else None
-        return render(vehicle, view, self.layers, among=among, threads=threads)
+        return render(vehicle, view, self.layers, among=self._among, threads=threads)
+
+    def retain(self, vehicle: RetainedCloud, view: View) -> Picture:
+        """The same of a vehicle that is drawn in it again and again."""
+        return vehicle.picture(view, self.layers, self._among)
+
+    @property
+    def _among(self) -> Projected | None:
+        return self.between if len(self.between) else None
 
     def alone(self, view: View) -> Tensor:
         """[h, w, 3] the window without the vehicle, exposed."""
@@ -49,10 +56,11 @@ class FrozenView:
 
     def exposed(self, rgb: Tensor) -> Tensor:
         """The colours [h, w, 3] as the camera shows them."""
-        return rgb * self.gain if self._has_gain else rgb
+        return rgb * self.gain if self.has_gain else rgb
 
     @cached_property
-    def _has_gain(self) -> bool:
+    def has_gain(self) -> bool:
+        """Whether exposing changes anything."""
         return bool((self.gain != 1).any())
 
 

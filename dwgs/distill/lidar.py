@@ -8,6 +8,7 @@ its surface is. There is no sky term at all: the sky is part of the frozen backg
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor, from_numpy
 
@@ -15,8 +16,10 @@ from dwgs.distill.region import Region
 from dwgs.scene import Camera, Insertion, LidarSweep
 from dwgs.scene.pose import inverse
 from dwgs.scene.silhouette import NEAR
-from dwgs.splat import Rendering
+from dwgs.splat import Drawing
 
+MOST = 0.5
+"""A relative difference beyond this says no more than that it is large."""
 BOX_MARGIN = 0.1
 """A return this far outside the box [m] still belongs to the car."""
 
@@ -25,8 +28,10 @@ BOX_MARGIN = 0.1
 class LidarDepths:
     """Measured depths at some pixels of a window."""
 
-    pixels: Tensor
-    """[M] flat indices into the window."""
+    rows: Tensor
+    """[M] of the window; no pixel twice."""
+    columns: Tensor
+    """[M]."""
     depths: Tensor
     """[M] along the optical axis [m]."""
 
@@ -34,13 +39,20 @@ class LidarDepths:
     """Whether nothing may be nearer, rather than everything as near: the frozen street's own depth is not at
     issue, and a vehicle must not bend it."""
 
-    def error(self, rendering: Rendering) -> Tensor:
-        """Mean relative difference of the rendered depth, where something is rendered."""
-        depth, alpha = rendering.depth.flatten()[self.pixels], rendering.alpha.flatten()[self.pixels]
-        depth = depth / alpha.clamp_min(1e-10)
-        error = (self.depths - depth) / self.depths
-        error = error.clamp_min(0) if self.is_bound else error.abs()
-        return error.clamp_max(0.5).mean()
+    def pull(self, drawing: Drawing, weight: float) -> float:
+        """Mean relative difference of the drawn depth where something is drawn, times ``weight``.
+
+        Adds its gradient to the drawing's.
+        """
+        depth, alpha = drawing.depth[self.rows, self.columns], drawing.alpha[self.rows, self.columns]
+        alpha = alpha.clamp_min(1e-10)
+        mean = depth / alpha
+        error = (self.depths - mean) / self.depths
+        size = error.clamp_min(0) if self.is_bound else error.abs()
+        slope = torch.where(size < MOST, -weight / len(size) * size.sign() * error.sign() / self.depths, 0) / alpha
+        drawing.v_depth[self.rows, self.columns] += slope
+        drawing.v_alpha[self.rows, self.columns] -= slope * mean
+        return weight * size.clamp_max(MOST).mean().item()
 
 
 def static_depths(sweep: LidarSweep, camera: Camera, region: Region) -> LidarDepths | None:
@@ -84,4 +96,5 @@ def _in_window(points: NDArray, camera: Camera, region: Region, is_bound: bool) 
         return None
     order = np.lexsort((depth, flat))
     unique, first = np.unique(flat[order], return_index=True)
-    return LidarDepths(from_numpy(unique), from_numpy(depth[order][first].astype(np.float32)), is_bound)
+    rows, columns = (from_numpy(index) for index in np.divmod(unique, window.width))
+    return LidarDepths(rows, columns, from_numpy(depth[order][first].astype(np.float32)), is_bound)

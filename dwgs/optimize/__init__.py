@@ -5,6 +5,7 @@ from dwgs.optimize.events import Event as Event
 from dwgs.optimize.events import Grown as Grown
 from dwgs.optimize.events import Preparing as Preparing
 from dwgs.optimize.events import Step as Step
+from dwgs.optimize.losses import RetainedMse as RetainedMse
 from dwgs.optimize.losses import dssim as dssim
 from dwgs.optimize.losses import weighted_l1 as weighted_l1
 from dwgs.optimize.losses import weighted_mse as weighted_mse

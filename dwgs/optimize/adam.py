@@ -11,12 +11,12 @@ from torch import Tensor
 
 from dwgs.optimize.kernels import activation, adam_cpu, adam_cuda
 from dwgs.splat.ops.stream import torch_stream
-from dwgs.splat.parallel import even, launch
+from dwgs.splat.parallel import launch, pack_crew
 
 EPSILON = 1e-15
 """Adam's, where nothing shall be still."""
 THREADS, WORTH_A_THREAD = 2, 8
-"""How many share a step on a CPU, and tasks that take longer than to hand them over."""
+"""How many share a step on a CPU, and spans that take longer than to hand them over."""
 
 
 @dataclass(frozen=True)
@@ -92,45 +92,59 @@ def adam(groups: Mapping[str, Group], activated: Activated) -> Adam:
 class _OnCpu:
     def __init__(self, groups: Mapping[str, Group], activated: Activated) -> None:
         self._to = activated.activate(groups)
-        self._groups = {name: _CpuGroup(groups[name]) for name in NAMES}
-        self._sums = np.zeros((-(-len(activated.means) // adam_cpu.SPAN), len(NAMES), 2), np.float32)
-        self._out = wp.array(self._sums, dtype=wp.vec2, device="cpu", copy=False)
+        self._groups = [_fill(adam_cpu.Group(), groups[name]) for name in NAMES]
+        for group in self._groups:
+            pattern = (np.arange(group.period + adam_cpu.LANES) % group.period >= 3).astype(np.float32)
+            group.is_rest = wp.array(pattern, dtype=float, device="cpu")
+        self._rates = np.array([groups[name].rates for name in NAMES])
+        count, periods = len(activated.means), [groups[name].period for name in NAMES]
+        per_gaussian = np.array([groups[name].raw.numel() // max(count, 1) for name in NAMES])
+        is_whole = np.array([period == 1 for period in periods])
+        usual = np.where(is_whole, per_gaussian, 3)
+        self._sizes = np.maximum(count * np.stack([usual, per_gaussian - usual], 1), 1)
+        self._mean_squares = np.array([_sums_of(groups[name]) for name in NAMES]) / self._sizes
+        self._sums = np.zeros((-(-count // adam_cpu.SPAN), len(NAMES), 2), np.float32)
+        self._numbers = np.zeros((len(NAMES), 6), np.float32)
+        self._gradients: list[Tensor | None] = []
+        self._run: Any = None
 
     def step(self, gradients: Mapping[str, Tensor], clock: Tensor, betas: tuple[float, float], still: float) -> None:
         clock[0] += 1
         steps, factor, *_ = clock.tolist()
-        unbiased = 1 / (1 - betas[0] ** steps), (1 - betas[1] ** steps) ** -0.5
-        inputs = [group.prepare(gradients.get(name), factor, still) for name, group in self._groups.items()]
-        bounds = even(len(self._sums), WORTH_A_THREAD, THREADS)
-        device = wp.get_device("cpu")
-        launch(adam_cpu.adam, bounds, [*inputs, *betas, *unbiased, self._to, self._out], device, THREADS)
-        for name, sums in zip(NAMES, self._sums.sum(0, dtype=np.float64), strict=True):
-            if name in gradients:
-                self._groups[name].mean_squares = sums / self._groups[name].sizes
+        self._numbers[:, :2] = factor * self._rates
+        self._numbers[:, 2:4] = np.maximum(still * np.sqrt(self._mean_squares), EPSILON)
+        self._numbers[:, 4:] = 1 / (1 - betas[0] ** steps), (1 - betas[1] ** steps) ** -0.5
+        in_order = [gradients.get(name) for name in NAMES]
+        if not _are_same(in_order, self._gradients):
+            self._pack(in_order, betas)
+        self._run()
+        is_known = [name in gradients for name in NAMES]
+        sums = self._sums.sum(0, dtype=np.float64) / self._sizes
+        self._mean_squares[is_known] = sums[is_known]
+
+    def _pack(self, gradients: list[Tensor | None], betas: tuple[float, float]) -> None:
+        self._gradients = gradients
+        for group, gradient in zip(self._groups, gradients, strict=True):
+            group.gradient = None if gradient is None else wp.from_torch(gradient.view(-1))
+        numbers = wp.array(self._numbers, dtype=adam_cpu.vec6, device="cpu", copy=False)
+        out = wp.array(self._sums, dtype=wp.vec2, device="cpu", copy=False)
+        threads = THREADS if len(self._sums) >= WORTH_A_THREAD else 1
+        self._run = pack_crew(adam_cpu.adam, [*self._groups, numbers, *betas, self._to, out], threads)
 
 
-class _CpuGroup:
-    def __init__(self, group: Group) -> None:
-        raw, period = group.raw, group.period
-        self._is_rest = (np.arange(period + adam_cpu.LANES) % period >= 3).astype(np.float32)
-        self._base = np.where(self._is_rest > 0, group.rates[1], group.rates[0]).astype(np.float32)
-        self._rates, self._stills = self._base.copy(), np.zeros_like(self._base)
-        is_rest = self._is_rest[:period] > 0
-        by_place = group.moments[1].reshape(-1, period).double().sum(0).numpy()
-        classes = ~is_rest, is_rest
-        self.sizes = np.array([max(raw.numel() // period * place.sum(), 1) for place in classes])
-        self.mean_squares = np.array([by_place[place].sum() for place in classes]) / self.sizes
-        self._group = _fill(adam_cpu.Group(), group)
-        for key, pattern in {"rates": self._rates, "stills": self._stills, "is_rest": self._is_rest}.items():
-            setattr(self._group, key, wp.array(pattern, dtype=float, device="cpu", copy=False))
+def _sums_of(group: Group) -> tuple[float, float]:
+    """Of the running mean squares, those of the first three of a period and those of the rest."""
+    by_place = group.moments[1].reshape(-1, group.period).double().sum(0)
+    return by_place[:3].sum().item(), by_place[3:].sum().item()
 
-    def prepare(self, gradient: Tensor | None, factor: float, still: float) -> Any:
-        """The same for the kernel, to step along a gradient."""
-        usual, rest = np.maximum(still * np.sqrt(self.mean_squares), EPSILON)
-        np.multiply(self._base, factor, out=self._rates)
-        self._stills[:] = np.where(self._is_rest > 0, rest, usual)
-        self._group.gradient = None if gradient is None else wp.from_torch(gradient.view(-1))
-        return self._group
+
+def _are_same(these: list[Tensor | None], those: list[Tensor | None]) -> bool:
+    """Whether they lie in the same memory."""
+
+    def place(tensor: Tensor | None) -> tuple[int, int]:
+        return (0, 0) if tensor is None else (tensor.data_ptr(), tensor.numel())
+
+    return [place(tensor) for tensor in these] == [place(tensor) for tensor in those]
 
 
 class _OnCuda:

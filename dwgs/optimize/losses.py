@@ -57,6 +57,28 @@ def _weighted_error(rgb: Tensor, target: Tensor, weight: Tensor, squared: bool) 
     return (error.sum(-1) * weight).sum() / (3 * weight.sum().clamp_min(1))
 
 
+class RetainedMse:
+    """`weighted_mse` of the same images on a CPU, again and again as they change; leaves its gradient in ``v_rgb``.
+
+    Images are [H, W, 3] plane by plane, as the renderer stores them.
+    """
+
+    def __init__(self, rgb: Tensor, target: Tensor, weight: Tensor, v_rgb: Tensor) -> None:
+        share = weight / (3 * weight.sum().clamp_min(1))
+        self._sums = torch.zeros(len(weight), 2)
+        outputs = [wp.from_torch(v_rgb.movedim(-1, 0)), wp.from_torch(self._sums, dtype=wp.vec2)]
+        inputs = [*_images(rgb, target, share), 1, *outputs]
+        command: Any = wp.launch(
+            photometric_cpu.error, len(weight), inputs, device="cpu", record_tape=False, record_cmd=True
+        )
+        self._run = command.launch
+
+    def __call__(self) -> float:
+        """The error as the images are now."""
+        self._run()
+        return self._sums[:, 0].sum().item()
+
+
 class _Error(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rgb: Tensor, target: Tensor, weight: Tensor, squared: bool) -> Tensor:

@@ -4,6 +4,9 @@ from dwgs.splat.capture import capture as capture
 from dwgs.splat.ops.composite import composite as composite
 from dwgs.splat.ops.project import project as project
 from dwgs.splat.ops.render import render as render
+from dwgs.splat.retained import Drawing as Drawing
+from dwgs.splat.retained import Picture as Picture
+from dwgs.splat.retained import RetainedCloud as RetainedCloud
 from dwgs.splat.splats import Layers as Layers
 from dwgs.splat.splats import Objects as Objects
 from dwgs.splat.splats import Projected as Projected

@@ -9,8 +9,8 @@ the number of threads; neither Warp's atomics nor its tiles are safe in threads.
 import itertools
 import os
 import threading
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import warp as wp
@@ -73,16 +73,25 @@ def launch(kernel: Any, bounds: Sequence[int], inputs: Sequence, device: wp.Devi
 
 
 def launch_crew(kernel: Any, inputs: Sequence, threads: int) -> None:
-    """Run a ``kernel`` as `crew` describes it, whose first argument are the counters, by so many CPU threads.
+    """Run a ``kernel`` as `crew` describes it, whose first argument are the counters, by so many CPU threads."""
+    pack_crew(kernel, inputs, threads)()
 
-    Nobody waits for a thread that comes too late: it keeps what it needs to find out.
+
+def pack_crew(kernel: Any, inputs: Sequence, threads: int) -> Callable[[], None]:
+    """What runs a ``kernel`` as `crew` describes it, again and again.
+
+    Nobody waits for a thread that comes too late: it finds a crew that is done. Only the next run makes sure of it.
     """
     counters = wp.zeros(crew.SIZE, dtype=int, device="cpu")
     command: Any = wp.launch(kernel, 1, [counters, *inputs], device="cpu", record_tape=False, record_cmd=True)
+    others: list[Future] = []
 
-    def join(_keep: Any = counters) -> None:
+    def run() -> None:
+        for other in others:
+            if not other.cancel():
+                other.result()
+        counters.zero_()
+        others[:] = [_pool.submit(command.launch) for _ in range(min(threads, CORES) - 1)]
         command.launch()
 
-    for _ in range(min(threads, CORES) - 1):
-        _pool.submit(join)
-    command.launch()
+    return run

@@ -7,7 +7,7 @@ from dwgs.distill.lidar import LidarDepths, carried_depths, static_depths
 from dwgs.distill.region import find_region
 from dwgs.scene import LidarSweep
 from dwgs.scene.pose import transform_points
-from dwgs.splat import Rendering
+from dwgs.splat import Drawing
 
 
 def sweep_of(points, times=None, time=0.5):
@@ -36,7 +36,7 @@ def test_static_returns_count_in_the_rim_alone(sight):
     depths = static_depths(sweep_of(points), frame.camera, region)
     assert depths is not None
     row, column = rim - [region.window.y, region.window.x]
-    assert depths.pixels.tolist() == [row * region.window.width + column]
+    assert (depths.rows.tolist(), depths.columns.tolist()) == ([row], [column])
     assert depths.depths.tolist() == pytest.approx([9.0])
     assert static_depths(sweep_of(points[:1]), frame.camera, region) is None
 
@@ -67,9 +67,32 @@ def test_returns_on_a_recorded_car_drive_with_it_to_the_cameras_time(toy):
     assert (np.abs(on_car) <= SIZE / 2).all()
 
 
+def drawing(depth, alpha) -> Drawing:
+    return Drawing(*(torch.zeros(2, 2, 3), depth, alpha), *(torch.zeros(2, 2, 3), torch.zeros(2, 2), torch.zeros(2, 2)))
+
+
 @pytest.mark.parametrize(("is_bound", "error"), [(False, 0.3125), (True, 0.1875)])
 def test_the_error_is_relative_and_one_sided_before_the_street(is_bound, error):
-    depth = torch.full((2, 2), 5.0)
-    rendering = Rendering(torch.zeros(2, 2, 3), depth, torch.full((2, 2), 0.5), torch.zeros(2, 2, 0), torch.tensor(0))
-    lidar = LidarDepths(torch.tensor([0, 3]), torch.tensor([16.0, 8.0]), is_bound)
-    assert lidar.error(rendering).item() == pytest.approx(error)
+    lidar = LidarDepths(torch.tensor([0, 1]), torch.tensor([0, 1]), torch.tensor([16.0, 8.0]), is_bound)
+    drawn = drawing(torch.full((2, 2), 5.0), torch.full((2, 2), 0.5))
+    assert lidar.pull(drawn, 3.0) == pytest.approx(3 * error)
+
+
+@pytest.mark.parametrize("is_bound", [False, True])
+def test_the_gradient_is_that_of_the_error(is_bound):
+    random = torch.Generator().manual_seed(0)
+    depth, alpha = (torch.rand(2, 2, generator=random, dtype=torch.float64) for _ in range(2))
+    rows, columns = torch.tensor([0, 0, 1, 1]), torch.tensor([0, 1, 0, 1])
+    measured = depth / alpha * torch.tensor([[0.7, 1.2], [1.4, 9.0]], dtype=torch.float64)  # the last is out of reach
+    lidar = LidarDepths(rows, columns, measured.flatten(), is_bound)
+    drawn = drawing(depth, alpha)
+    lidar.pull(drawn, 2.0)
+    for image, gradient in ((depth, drawn.v_depth), (alpha, drawn.v_alpha)):
+        for pixel in range(4):
+            errors = []
+            for change in (1e-6, -1e-6):
+                image.view(-1)[pixel] += change
+                errors.append(lidar.pull(drawing(depth, alpha), 2.0))
+                image.view(-1)[pixel] -= change
+            assert gradient.view(-1)[pixel].item() == pytest.approx((errors[0] - errors[1]) / 2e-6, abs=1e-6)
+    assert drawn.v_depth.abs().sum() > 0

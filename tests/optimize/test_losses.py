@@ -3,7 +3,7 @@ import torch
 from kornia.filters import gaussian_blur2d
 from kornia.metrics import ssim as ssim_map
 
-from dwgs.optimize import dssim, weighted_l1, weighted_mse
+from dwgs.optimize import RetainedMse, dssim, weighted_l1, weighted_mse
 
 
 def images(height=64, width=80):
@@ -56,3 +56,16 @@ def test_the_quick_way_is_the_exact_one(loss, size):
     torch.testing.assert_close(quick, exact.float(), rtol=1e-5, atol=1e-7)
     v_exact, v_quick = (torch.autograd.grad(3 * value, rgb)[0] for value in (exact, quick))
     torch.testing.assert_close(v_quick, v_exact, rtol=1e-4, atol=1e-4 * float(v_exact.abs().max()))
+
+
+def test_a_retained_error_follows_the_image():
+    rgb, target = (image.movedim(-1, 0).contiguous().movedim(0, -1) for image in images(33, 47))
+    weight = torch.rand(33, 47, generator=torch.Generator().manual_seed(2))
+    gradient = torch.empty(3, 33, 47).movedim(0, -1)
+    error = RetainedMse(rgb, target, weight, gradient)
+    for _ in range(2):
+        rgb.mul_(0.7)
+        leaf = rgb.clone().requires_grad_()
+        expected = weighted_mse(leaf, target, weight)
+        assert error() == pytest.approx(expected.item(), rel=1e-5)
+        torch.testing.assert_close(gradient, torch.autograd.grad(expected, leaf)[0])

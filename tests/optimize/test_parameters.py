@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from dwgs.optimize import PoseParameters, Rates, SplatParameters
+from dwgs.optimize import PoseParameters, Rates, SplatParameters, Together
 from dwgs.scene import Gaussians
 from dwgs.splat import Splats
 
@@ -153,3 +153,29 @@ parameters.step()
 assert (parameters.to_gaussians().sh[:, 0] < 0.5).all()
 """
     subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
+
+
+def test_together_parts_step_as_alone():
+    rates = RATES, replace(RATES, means=0.1, sh_rest=0.0)
+    alone = [SplatParameters(cloud(n, seed=n), rate) for n, rate in zip((20, 30), rates, strict=True)]
+    parts = [SplatParameters(cloud(n, seed=n), rate) for n, rate in zip((20, 30), rates, strict=True)]
+    together = Together(parts)
+    random = torch.Generator().manual_seed(0)
+    for _ in range(3):
+        leaves = [getattr(together.splats(), name) for name in Splats.__dataclass_fields__]
+        weights = [torch.randn(leaf.shape, generator=random) for leaf in leaves]
+        torch.stack([(leaf * weight).sum() for leaf, weight in zip(leaves, weights, strict=True)]).sum().backward()
+        together.step(0.5)
+        for part, span in zip(alone, (slice(0, 20), slice(20, 50)), strict=True):
+            leaves = [getattr(part.splats(), name) for name in Splats.__dataclass_fields__]
+            losses = [(leaf * weight[span]).sum() for leaf, weight in zip(leaves, weights, strict=True)]
+            torch.stack(losses).sum().backward()
+            part.step(0.5)
+    for ours, theirs in zip(parts, alone, strict=True):
+        assert ours.flat().equal(theirs.flat())
+        np.testing.assert_array_equal(ours.to_gaussians().scales, theirs.to_gaussians().scales)
+    flat = parts[1].flat()
+    together.splats().means.sum().backward()
+    together.step(1.0)
+    parts[1].load_flat(flat)
+    np.testing.assert_array_equal(parts[1].to_gaussians().means, alone[1].to_gaussians().means)

@@ -20,6 +20,11 @@ _CPU = torch.device("cpu")
 _NOTHING = [torch.zeros(0, *shape) for shape in ((3,), (4,), (3,), (), (1, 3), (1, 4, 4))]
 
 
+def run_size(gaussians: int, threads: int) -> int:
+    """How many are dealt out as one item."""
+    return max(_RUN, -(-gaussians // (threads * _RUNS_PER_THREAD)))
+
+
 def draw(
     canvas: Any,
     scene: Scene,
@@ -35,7 +40,7 @@ def draw(
     once more.
     """
     n, tiles = records.shape[0] * records.shape[1], len(records) * canvas.tiles_across * canvas.tiles_down
-    run = max(_RUN, -(-n // (threads * _RUNS_PER_THREAD)))
+    run = run_size(n, threads)
     ends, ranges = torch.empty(n, dtype=torch.int32), torch.empty(tiles, 2, dtype=torch.int32)
     places = scratch("places", -(-n // run) * tiles, torch.int32, _CPU).view(-(-n // run), tiles)
     total = torch.zeros(1, dtype=torch.int32)

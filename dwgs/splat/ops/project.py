@@ -125,11 +125,13 @@ class SceneGradient:
     objects: Objects
 
     @staticmethod
-    def of(scene: Scene, tensors: Sequence[Tensor], needs_pose: bool) -> "SceneGradient":
-        """Of the tensors that the scene was made of."""
+    def of(
+        scene: Scene, tensors: Sequence[Tensor], needs_pose: bool, v_tensors: list[Tensor] | None = None
+    ) -> "SceneGradient":
+        """Of the tensors that the scene was made of, in room that is there already or is made."""
         where = tensors[0].device
         object_from_span, spans = _tasks(scene.objects.counts, _GAUSSIANS_PER_TASK[where.type], where)
-        v_tensors = [torch.empty_like(t) for t in tensors[:5]]
+        v_tensors = v_tensors or [torch.empty_like(t) for t in tensors[:5]]
         v_spans = torch.empty(len(tensors[5]), len(spans) if needs_pose else 0, 4, 4, device=where)
         return SceneGradient(
             v_tensors,

@@ -1,0 +1,163 @@
+"""Pictures of one cloud, drawn again and again while it changes: what a launch takes is packed once.
+
+What `render` and autograd do, without either: a step of a fit on a CPU is over before Python has packed its arguments.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from math import prod
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from dwgs.splat.kernels import composite_cpu as kernels
+from dwgs.splat.kernels.gather import slot10
+from dwgs.splat.ops.binned import Binned
+from dwgs.splat.ops.composite import PLANES, canvas_of, gradient_of
+from dwgs.splat.ops.composite_cpu import run_size
+from dwgs.splat.ops.project import Scene, SceneGradient, as_records
+from dwgs.splat.parallel import load, pack_crew
+from dwgs.splat.splats import Layers, Objects, Projected, Splats, View, whole_tiles
+
+_GROWTH = 1.25
+
+
+class RetainedCloud:
+    """Splats on a CPU and the memory that all pictures of them share, of which one is drawn at a time.
+
+    Args:
+        splats: Contiguous leaves, changed in place. Their ``grad`` is what the last adjoint left.
+        threads: That draw one picture.
+    """
+
+    def __init__(self, splats: Splats, threads: int = 2) -> None:
+        load(wp.get_device("cpu"))
+        self.splats, self.threads = splats, threads
+        self.leaves = [getattr(splats, f.name) for f in fields(Splats)]
+        self.gradients = [torch.zeros_like(leaf, requires_grad=False) for leaf in self.leaves]
+        self.room = 1
+        """For intersections."""
+        self.generation = 0
+        """Changes whenever memory has moved."""
+        self._memory: dict[str, Tensor] = {}
+
+    def picture(self, view: View, layers: Layers | None = None, among: Projected | None = None) -> "Picture":
+        """What a single ``view`` sees of the cloud, see `render`."""
+        return Picture(self, view, layers, among)
+
+    def memory(self, sizes: dict[str, int], dtype: torch.dtype) -> dict[str, Tensor]:
+        """So many elements each, which any picture may overwrite."""
+        for name, size in sizes.items():
+            if name not in self._memory or len(self._memory[name]) < size:
+                self._memory[name] = torch.empty(int(size * _GROWTH), dtype=dtype)
+                self.generation += 1
+        return {name: self._memory[name][:size] for name, size in sizes.items()}
+
+
+class Picture:
+    """One view of a `RetainedCloud`."""
+
+    def __init__(self, cloud: RetainedCloud, view: View, layers: Layers | None, among: Projected | None) -> None:
+        self._cloud, self._view, self._layers, self._among = cloud, view, layers, among
+        self.viewmat = view.viewmat.detach().clone()
+        """[4, 4] to be changed in place where the camera moves."""
+        self.v_viewmat = torch.zeros(4, 4)
+        """[4, 4] its gradient, from the last adjoint that was asked for it."""
+        self._total = torch.zeros(1, dtype=torch.int32)
+        self._packed: _Packed | None = None
+
+    def draw(self) -> "Drawing":
+        """The image as the splats are now, in memory that the next picture is drawn in."""
+        cloud, count = self._cloud, len(self._cloud.splats)
+        while True:
+            packed = self._packed
+            if packed is None or (packed.generation, packed.room) != (cloud.generation, cloud.room):
+                packed = self._packed = self._pack()
+            if self._among is not None:
+                packed.records[count:] = self._among.records
+            packed.draw()
+            total = int(self._total)
+            if total <= packed.room:
+                return packed.drawing
+            cloud.room = int(total * _GROWTH)
+
+    def adjoint(self, *, pose: bool = False) -> None:
+        """Of the picture drawn last, by the gradients in its drawing: leave those of the splats and of the ``pose``."""
+        assert self._packed is not None, "nothing was drawn"
+        (self._packed.adjoint_with_pose if pose else self._packed.adjoint)()
+        for leaf, gradient in zip(self._cloud.leaves, self._cloud.gradients, strict=True):
+            leaf.grad = gradient
+        if pose:
+            torch.sum(self._packed.v_spans, (0, 1), out=self.v_viewmat)
+
+    def _pack(self) -> "_Packed":
+        cloud, view = self._cloud, self._view
+        n, height, width = len(cloud.splats), view.height, view.width
+        count = n + (0 if self._among is None else len(self._among))
+        tiles, planes = view.tiles[0] * view.tiles[1], (PLANES, *whole_tiles(height, width))
+        run = run_size(count, cloud.threads)
+        runs = -(-count // run)
+        room = cloud.room
+        sizes = {"isects": room, "spare_isects": room, "gaussians": room}
+        sizes |= {"places": runs * tiles, "ends": count, "ranges": 2 * tiles}
+        whole = cloud.memory(sizes, torch.int32)
+        sizes = {"depths": room, "spare_depths": room, "slots": 10 * room, "records": 16 * count, "v_records": 16 * n}
+        real = cloud.memory(sizes | {"image": prod(planes), "v_image": PLANES * height * width}, torch.float32)
+        records, image = real["records"].view(1, count, 16), real["image"].view(1, *planes)
+        shown, v_image = image[0, :, :height, :width], real["v_image"].view(PLANES, height, width)
+        images = shown[:3].movedim(0, -1), shown[3], shown[4]
+        v_images = v_image[:3].movedim(0, -1), v_image[3], v_image[4]
+
+        own = View(self.viewmat, view.intrinsics, width, height)
+        tensors = (*(leaf.detach() for leaf in cloud.leaves), self.viewmat[None, None])
+        scene = Scene.of(own, Objects((n,), torch.eye(4)[None]), False, tensors)
+        bins = Binned(whole["ends"], whole["gaussians"], whole["isects"], whole["ranges"].view(-1, 2)).to_warp()
+        canvas = canvas_of(view, records, self._layers, torch.zeros(count, 0))
+        ends, flat = wp.from_torch(whole["ends"]), wp.from_torch(real["image"])
+        outputs = [as_records(records), ends, wp.from_torch(whole["places"].view(runs, tiles))]
+        outputs += [wp.from_torch(real[name]) for name in ("depths", "spare_depths")]
+        outputs += [wp.from_torch(whole["spare_isects"]), flat, wp.from_torch(self._total)]
+        draw = pack_crew(kernels.composite, [scene.cloud, scene.lens, canvas, bins, run, *outputs], cloud.threads)
+
+        def adjoint(needs_pose: bool) -> tuple[Callable[[], None], Tensor]:
+            v_scene = SceneGradient.of(scene, tensors, needs_pose, cloud.gradients)
+            v_in = gradient_of((*v_images, None), (1, PLANES, height, width), records.device)
+            nothing = wp.from_torch(torch.zeros(0)), wp.from_torch(torch.zeros(0, 0))
+            inputs = [scene.cloud, scene.lens, canvas, bins, as_records(records), flat, v_in, n, ends, v_scene.spans]
+            outputs = [wp.from_torch(real["slots"].view(-1, 10), dtype=slot10), nothing[0]]
+            outputs += [as_records(real["v_records"]), nothing[1], v_scene.v_cloud, v_scene.out_spans]
+            return pack_crew(kernels.composite_adjoint, [*inputs, *outputs], cloud.threads), v_scene.v_spans
+
+        with_pose, v_spans = adjoint(True)
+        drawing = Drawing(*images, *v_images)
+        return _Packed(cloud.generation, room, draw, adjoint(False)[0], with_pose, v_spans, records[0], drawing)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A picture as it was drawn, and the gradients by it, to be filled before its adjoint."""
+
+    rgb: Tensor
+    """[H, W, 3]."""
+    depth: Tensor
+    """[H, W] sum of weight times centre depth [m]."""
+    alpha: Tensor
+    """[H, W]."""
+    v_rgb: Tensor
+    v_depth: Tensor
+    v_alpha: Tensor
+
+
+@dataclass(frozen=True)
+class _Packed:
+    generation: int
+    room: int
+    """For intersections."""
+    draw: Callable[[], None]
+    adjoint: Callable[[], None]
+    adjoint_with_pose: Callable[[], None]
+    v_spans: Tensor
+    """[1, spans, 4, 4] by the pose."""
+    records: Tensor
+    drawing: Drawing
