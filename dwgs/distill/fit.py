@@ -59,10 +59,11 @@ def distill(
     is_generated = any(frame.load_reactive_mask is not None for frame in scene.all_frames())
     recipe = GENERATED if is_generated else RECORDED
 
-    sights = find_sights(scene, frozen, insertion, recipe, config.threads)
-    shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
-    body = initialize_body(insertion.vehicle, insertion.size, config.gaussians)
-    vehicle = Vehicle(body, shadow, insertion.size, recipe)
+    with ThreadPoolExecutor(1) as pool:
+        body = pool.submit(initialize_body, insertion.vehicle, insertion.size, config.gaussians)
+        sights = find_sights(scene, frozen, insertion, recipe, config.threads)
+        shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
+    vehicle = Vehicle(body.result(), shadow, insertion.size, recipe)
     yield Grown(0, len(vehicle))
 
     prepare = partial(
@@ -129,7 +130,7 @@ def _fit(
 ) -> Generator[Event, None, int]:
     """Run the schedule on ``shots`` by their number among all; gives how many steps it had."""
     learnt = list(shots)
-    cloud = RetainedCloud(vehicle.splats(), config.threads)
+    cloud = RetainedCloud(vehicle.splats(), config.threads, moves=poses is not None)
     pictures = {i: shot.frozen.retain(cloud, shot.view) for i, shot in shots.items()}
     judges: dict[int, tuple[Drawing, Photometric]] = {}
     squared_errors: dict[int, float] = {}
@@ -153,7 +154,7 @@ def _fit(
         drawing.v_alpha.zero_()
         if shot.lidar is not None and config.lidar_weight > 0:
             loss += shot.lidar.pull(drawing, config.lidar_weight)
-        picture.adjoint(pose=viewmat is not None)
+        picture.adjoint()
         factor = hold_then_decay(pace.progress, recipe.hold, recipe.final)
         vehicle.step(factor, is_averaged=pace.progress > 1 - TAIL)
         if poses is not None and viewmat is not None:

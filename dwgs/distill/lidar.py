@@ -85,7 +85,8 @@ def carried_depths(
 def _in_window(points: NDArray, camera: Camera, region: Region, is_bound: bool) -> LidarDepths | None:
     """Nearest depth per pixel of the window, where it is supervised and not reactive."""
     window = region.window
-    pixels, depth = window.camera(camera).project(points)
+    camera = window.camera(camera)
+    pixels, depth = camera.project(points[camera.may_see(points)])
     with np.errstate(invalid="ignore"):
         inside = (depth > NEAR) & (pixels >= 0).all(1) & (pixels < (window.width, window.height)).all(1)
     column, row = pixels[inside].astype(int).T

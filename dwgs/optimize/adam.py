@@ -48,21 +48,20 @@ class Activated:
     """[N, 3] how far a mean goes with its parameter [m]."""
     means: Tensor
     scales: Tensor
-    scale_derivative: Tensor
     opacities: Tensor
     opacity_derivative: Tensor
     lows: Tensor
     """[3] bounds of the means [m]."""
     highs: Tensor
     """[3]."""
-    most: Tensor
-    """[3] those of the scales [m]."""
+    log_most: Tensor
+    """[3] those of the logarithm of the scales."""
 
     def activate(self, groups: Mapping[str, Group]) -> Any:
         """Make them what their parameters say; for the kernels, the same."""
         to = activation.Activation()
         for name, tensor in vars(self).items():
-            goes_round = name in ("lows", "highs", "most")
+            goes_round = name in ("lows", "highs", "log_most")
             setattr(to, name, wp.from_torch(tensor.repeat(_ROUNDS) if goes_round else tensor.view(-1)))
         raw = [wp.from_torch(groups[name].raw.view(-1)) for name in ("means", "scales", "opacities")]
         size = 1 if self.means.is_cuda else adam_cpu.SPAN

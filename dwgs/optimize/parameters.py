@@ -46,7 +46,7 @@ class SplatParameters:
         gaussians: Where they begin.
         rates: How far they step.
         mean_step_scale: [N] means move in units of this: to move as many pixels, a far Gaussian takes longer steps.
-        bounds: [2, 3] lowest and highest place of a centre [m]; what has left it can find back.
+        bounds: [2, 3] lowest and highest place of a centre [m].
         max_scales: [3] largest standard deviations [m].
         device: Where they live; on a GPU a step can be captured in a graph.
     """
@@ -64,7 +64,7 @@ class SplatParameters:
         unbounded = np.array([[-np.inf] * 3, [np.inf] * 3])
         limits = torch.from_numpy(np.float32(unbounded if bounds is None else bounds)).to(device)
         most = torch.tensor([torch.inf] * 3 if max_scales is None else max_scales, device=device)
-        self._limits = dict(zip(("lows", "highs", "most"), (*limits, most), strict=True))
+        self._limits = dict(zip(("lows", "highs", "log_most"), (*limits, most.log()), strict=True))
         self._clock = torch.zeros(4, device=device)  # see `Adam`: on a GPU, where a graph reads it
         raw = self._raw_from(gaussians, mean_step_scale)
         self._install(raw, {name: [torch.zeros_like(raw[name]) for _ in range(2)] for name in NAMES})
@@ -147,8 +147,8 @@ class SplatParameters:
             own[name].copy_(self._raw[name].detach())
             self._raw[name] = own[name]
         raw, sh_period = self._raw, 3 * self._raw["sh"].shape[1]
-        scale_derivative, opacity_derivative = torch.empty_like(raw["scales"]), torch.empty_like(raw["opacities"])
-        derivatives = {"means": raw["strides"], "scales": scale_derivative, "opacities": opacity_derivative}
+        opacity_derivative = torch.empty_like(raw["opacities"])
+        derivatives = {"means": raw["strides"], "scales": own["scales"], "opacities": opacity_derivative}
         groups = {
             name: Group(
                 raw[name],
@@ -164,7 +164,6 @@ class SplatParameters:
             raw["strides"],
             own["means"],
             own["scales"],
-            scale_derivative,
             own["opacities"],
             opacity_derivative,
             **self._limits,

@@ -50,6 +50,13 @@ class Camera:
             pixels = (p @ self.K.T)[:, :2] / depth[:, None]
         return pixels, depth
 
+    def may_see(self, points: ArrayLike, margin: float = 1.0) -> NDArray[np.bool_]:
+        """[N] which world points [N, 3] may fall into the image or ``margin`` [px] around it: quick, in float32."""
+        pixels_from_world = (self.K @ self.camera_from_world[:3]).astype(np.float32)
+        x, y, depth = pixels_from_world[:, :3] @ np.asarray(points, np.float32).T + pixels_from_world[:, 3:]
+        right, bottom = (self.width + margin) * depth, (self.height + margin) * depth
+        return (depth > 0) & (x > -margin * depth) & (x < right) & (y > -margin * depth) & (y < bottom)
+
     def crop(self, x: int, y: int, width: int, height: int) -> "Camera":
         """The camera that sees only the given window [px] of this one's image."""
         K = self.K.copy()

@@ -5,12 +5,12 @@ What `render` and autograd do, without either: a step of a fit on a CPU is over 
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from math import prod
 
 import torch
 import warp as wp
 from torch import Tensor
 
+from dwgs.splat.constants import TILE
 from dwgs.splat.kernels import composite_cpu as kernels
 from dwgs.splat.kernels.gather import slot10
 from dwgs.splat.ops.binned import Binned
@@ -21,6 +21,8 @@ from dwgs.splat.parallel import load, pack_crew
 from dwgs.splat.splats import Layers, Objects, Projected, Splats, View, whole_tiles
 
 _GROWTH = 1.25
+_ROOM = 4
+"""Intersections per Gaussian that there is room for at first."""
 
 
 class RetainedCloud:
@@ -29,14 +31,15 @@ class RetainedCloud:
     Args:
         splats: Contiguous leaves, changed in place. Their ``grad`` is what the last adjoint left.
         threads: That draw one picture.
+        moves: Whether cameras move, so that a gradient by their poses is wanted.
     """
 
-    def __init__(self, splats: Splats, threads: int = 2) -> None:
+    def __init__(self, splats: Splats, threads: int = 2, *, moves: bool = False) -> None:
         load(wp.get_device("cpu"))
-        self.splats, self.threads = splats, threads
+        self.splats, self.threads, self.moves = splats, threads, moves
         self.leaves = [getattr(splats, f.name) for f in fields(Splats)]
         self.gradients = [torch.zeros_like(leaf, requires_grad=False) for leaf in self.leaves]
-        self.room = 1
+        self.room = _ROOM * len(splats)
         """For intersections."""
         self.generation = 0
         """Changes whenever memory has moved."""
@@ -63,9 +66,10 @@ class Picture:
         self.viewmat = view.viewmat.detach().clone()
         """[4, 4] to be changed in place where the camera moves."""
         self.v_viewmat = torch.zeros(4, 4)
-        """[4, 4] its gradient, from the last adjoint that was asked for it."""
+        """[4, 4] its gradient, from the last adjoint, where cameras move."""
         self._total = torch.zeros(1, dtype=torch.int32)
         self._packed: _Packed | None = None
+        self._memory()
 
     def draw(self) -> "Drawing":
         """The image as the splats are now, in memory that the next picture is drawn in."""
@@ -82,56 +86,63 @@ class Picture:
                 return packed.drawing
             cloud.room = int(total * _GROWTH)
 
-    def adjoint(self, *, pose: bool = False) -> None:
-        """Of the picture drawn last, by the gradients in its drawing: leave those of the splats and of the ``pose``."""
+    def adjoint(self) -> None:
+        """Of the picture drawn last, by the gradients in its drawing: leave those of the splats and of the pose."""
         assert self._packed is not None, "nothing was drawn"
-        (self._packed.adjoint_with_pose if pose else self._packed.adjoint)()
+        self._packed.adjoint()
         for leaf, gradient in zip(self._cloud.leaves, self._cloud.gradients, strict=True):
             leaf.grad = gradient
-        if pose:
+        if self._cloud.moves:
             torch.sum(self._packed.v_spans, (0, 1), out=self.v_viewmat)
 
-    def _pack(self) -> "_Packed":
-        cloud, view = self._cloud, self._view
-        n, height, width = len(cloud.splats), view.height, view.width
-        count = n + (0 if self._among is None else len(self._among))
-        tiles, planes = view.tiles[0] * view.tiles[1], (PLANES, *whole_tiles(height, width))
-        run = run_size(count, cloud.threads)
-        runs = -(-count // run)
-        room = cloud.room
-        sizes = {"isects": room, "spare_isects": room, "gaussians": room}
-        sizes |= {"places": runs * tiles, "ends": count, "ranges": 2 * tiles}
-        whole = cloud.memory(sizes, torch.int32)
+    def _memory(self) -> dict[str, Tensor]:
+        """What it is drawn in."""
+        cloud, view, room = self._cloud, self._view, self._cloud.room
+        n, count, tiles = len(cloud.splats), self._count, view.tiles[0] * view.tiles[1]
+        sizes = {"isects": room, "spare_isects": room, "gaussians": room, "ends": count, "ranges": 2 * tiles}
+        whole = cloud.memory(sizes | {"places": self._runs * tiles}, torch.int32)
         sizes = {"depths": room, "spare_depths": room, "slots": 10 * room, "records": 16 * count, "v_records": 16 * n}
-        real = cloud.memory(sizes | {"image": prod(planes), "v_image": PLANES * height * width}, torch.float32)
-        records, image = real["records"].view(1, count, 16), real["image"].view(1, *planes)
-        shown, v_image = image[0, :, :height, :width], real["v_image"].view(PLANES, height, width)
+        sizes |= {"image": PLANES * tiles * TILE**2, "v_image": PLANES * view.height * view.width}
+        return whole | cloud.memory(sizes, torch.float32)
+
+    @property
+    def _count(self) -> int:
+        """Gaussians."""
+        return len(self._cloud.splats) + (0 if self._among is None else len(self._among))
+
+    @property
+    def _runs(self) -> int:
+        return -(-self._count // run_size(self._count, self._cloud.threads))
+
+    def _pack(self) -> "_Packed":
+        cloud, view, count, own = self._cloud, self._view, self._count, self._memory()
+        n, height, width = len(cloud.splats), view.height, view.width
+        planes = (PLANES, *whole_tiles(height, width))
+        records, image = own["records"].view(1, count, 16), own["image"].view(1, *planes)
+        shown, v_image = image[0, :, :height, :width], own["v_image"].view(PLANES, height, width)
         images = shown[:3].movedim(0, -1), shown[3], shown[4]
         v_images = v_image[:3].movedim(0, -1), v_image[3], v_image[4]
 
-        own = View(self.viewmat, view.intrinsics, width, height)
+        moving = View(self.viewmat, view.intrinsics, width, height)
         tensors = (*(leaf.detach() for leaf in cloud.leaves), self.viewmat[None, None])
-        scene = Scene.of(own, Objects((n,), torch.eye(4)[None]), False, tensors)
-        bins = Binned(whole["ends"], whole["gaussians"], whole["isects"], whole["ranges"].view(-1, 2)).to_warp()
+        scene = Scene.of(moving, Objects((n,), torch.eye(4)[None]), False, tensors)
+        bins = Binned(own["ends"], own["gaussians"], own["isects"], own["ranges"].view(-1, 2)).to_warp()
         canvas = canvas_of(view, records, self._layers, torch.zeros(count, 0))
-        ends, flat = wp.from_torch(whole["ends"]), wp.from_torch(real["image"])
-        outputs = [as_records(records), ends, wp.from_torch(whole["places"].view(runs, tiles))]
-        outputs += [wp.from_torch(real[name]) for name in ("depths", "spare_depths")]
-        outputs += [wp.from_torch(whole["spare_isects"]), flat, wp.from_torch(self._total)]
+        ends, flat = wp.from_torch(own["ends"]), wp.from_torch(own["image"])
+        run = run_size(count, cloud.threads)
+        outputs = [as_records(records), ends, wp.from_torch(own["places"].view(self._runs, -1))]
+        outputs += [wp.from_torch(own[name]) for name in ("depths", "spare_depths", "spare_isects")]
+        outputs += [flat, wp.from_torch(self._total)]
         draw = pack_crew(kernels.composite, [scene.cloud, scene.lens, canvas, bins, run, *outputs], cloud.threads)
 
-        def adjoint(needs_pose: bool) -> tuple[Callable[[], None], Tensor]:
-            v_scene = SceneGradient.of(scene, tensors, needs_pose, cloud.gradients)
-            v_in = gradient_of((*v_images, None), (1, PLANES, height, width), records.device)
-            nothing = wp.from_torch(torch.zeros(0)), wp.from_torch(torch.zeros(0, 0))
-            inputs = [scene.cloud, scene.lens, canvas, bins, as_records(records), flat, v_in, n, ends, v_scene.spans]
-            outputs = [wp.from_torch(real["slots"].view(-1, 10), dtype=slot10), nothing[0]]
-            outputs += [as_records(real["v_records"]), nothing[1], v_scene.v_cloud, v_scene.out_spans]
-            return pack_crew(kernels.composite_adjoint, [*inputs, *outputs], cloud.threads), v_scene.v_spans
-
-        with_pose, v_spans = adjoint(True)
+        v_scene = SceneGradient.of(scene, tensors, cloud.moves, cloud.gradients)
+        v_in = gradient_of((*v_images, None), (1, PLANES, height, width), records.device)
+        inputs = [scene.cloud, scene.lens, canvas, bins, as_records(records), flat, v_in, n, ends, v_scene.spans]
+        outputs = [wp.from_torch(own["slots"].view(-1, 10), dtype=slot10), wp.from_torch(torch.zeros(0))]
+        outputs += [as_records(own["v_records"]), wp.from_torch(torch.zeros(0, 0)), v_scene.v_cloud, v_scene.out_spans]
+        adjoint = pack_crew(kernels.composite_adjoint, [*inputs, *outputs], cloud.threads)
         drawing = Drawing(*images, *v_images)
-        return _Packed(cloud.generation, room, draw, adjoint(False)[0], with_pose, v_spans, records[0], drawing)
+        return _Packed(cloud.generation, cloud.room, draw, adjoint, v_scene.v_spans, records[0], drawing)
 
 
 @dataclass(frozen=True)
@@ -156,7 +167,6 @@ class _Packed:
     """For intersections."""
     draw: Callable[[], None]
     adjoint: Callable[[], None]
-    adjoint_with_pose: Callable[[], None]
     v_spans: Tensor
     """[1, spans, 4, 4] by the pose."""
     records: Tensor

@@ -34,7 +34,7 @@ def gradients_by(splats, view, layers, among, weights):
 @pytest.mark.parametrize("threads", [1, 2])
 def test_images_and_gradients_are_those_of_render_while_the_splats_change(scene, make_cloud, threads):
     splats, views = scene
-    cloud = RetainedCloud(splats, threads)
+    cloud = RetainedCloud(splats, threads, moves=True)
     extras = [(None, None), (layers_of(views[1]), project(make_cloud(n=50, seed=5), views[1]))]
     pictures = [cloud.picture(view, *extra) for view, extra in zip(views, extras, strict=True)]
     random = torch.Generator().manual_seed(3)
@@ -53,7 +53,7 @@ def test_images_and_gradients_are_those_of_render_while_the_splats_change(scene,
                 assert ours.equal(theirs)
             for ours, weight in zip((drawing.v_rgb, drawing.v_depth, drawing.v_alpha), weights, strict=True):
                 ours.copy_(weight)
-            picture.adjoint(pose=True)
+            picture.adjoint()
             for leaf, gradient in zip(cloud.leaves, expected, strict=False):
                 assert leaf.grad.equal(gradient)
             torch.testing.assert_close(picture.v_viewmat, expected[-1])

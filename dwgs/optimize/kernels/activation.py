@@ -1,5 +1,8 @@
 # type: ignore  (Warp's language, which is not Python's)
-"""Unbounded parameters to the Gaussians they stand for: one text for both devices, see `dwgs.splat.kernels.lanes`."""
+"""Parameters to the Gaussians they stand for: one text for both devices, see `dwgs.splat.kernels.lanes`.
+
+A parameter that has left its bounds is put back: it does not wander where nothing sees it, and finds back at once.
+"""
 
 import warp as wp
 
@@ -14,8 +17,8 @@ wp.set_module_options({"enable_backward": False})
 class Activation:
     """Gaussians, and what bounds them; numbers that every Gaussian has three of lie one Gaussian after the other.
 
-    ``lows``, ``highs`` and ``most`` go round: three values again and again, as many as a number has lanes and three
-    more.
+    ``lows``, ``highs`` and ``log_most`` go round: three values again and again, as many as a number has lanes and
+    three more.
     """
 
     origins: wp.array(dtype=float)
@@ -24,24 +27,24 @@ class Activation:
     """How far a mean goes with its parameter [m]."""
     means: wp.array(dtype=float)
     scales: wp.array(dtype=float)
-    scale_derivative: wp.array(dtype=float)
-    """Of a scale by its logarithm, were it not bounded."""
     opacities: wp.array(dtype=float)
     opacity_derivative: wp.array(dtype=float)
     """Of an opacity by its logit."""
     lows: wp.array(dtype=float)
     highs: wp.array(dtype=float)
-    most: wp.array(dtype=float)
-    """Largest scales [m]."""
+    log_most: wp.array(dtype=float)
+    """Logarithm of the largest scales."""
 
 
 @wp.func_native(f"""
 {NUMBERS}
     for (int i = begin; i < end; i += lanes) {{
         const number low = get(to.lows.data, 1, 0, i % 3, 1 << 30), high = get(to.highs.data, 1, 0, i % 3, 1 << 30);
-        const number mean = get(to.origins.data, 1, 0, i, end)
-            + get(raw.data, 1, 0, i, end) * get(to.strides.data, 1, 0, i, end);
-        put(to.means.data, 1, 0, i, end, lower(higher(mean, low), high));
+        const number origin = get(to.origins.data, 1, 0, i, end), stride = get(to.strides.data, 1, 0, i, end);
+        const number way = get(raw.data, 1, 0, i, end), free = origin + way * stride;
+        const number mean = lower(higher(free, low), high);
+        put(to.means.data, 1, 0, i, end, mean);
+        put(raw.data, 1, 0, i, end, mean == free ? way : (mean - origin) / stride);
     }}
 """)
 def activate_means(begin: int, end: int, raw: wp.array(dtype=float), to: Activation):
@@ -51,9 +54,10 @@ def activate_means(begin: int, end: int, raw: wp.array(dtype=float), to: Activat
 @wp.func_native(f"""
 {NUMBERS}
     for (int i = begin; i < end; i += lanes) {{
-        const number scale = exponential(get(raw.data, 1, 0, i, end));
-        put(to.scale_derivative.data, 1, 0, i, end, scale);
-        put(to.scales.data, 1, 0, i, end, lower(scale, get(to.most.data, 1, 0, i % 3, 1 << 30)));
+        const number most = get(to.log_most.data, 1, 0, i % 3, 1 << 30);
+        const number log_scale = lower(get(raw.data, 1, 0, i, end), most);
+        put(raw.data, 1, 0, i, end, log_scale);
+        put(to.scales.data, 1, 0, i, end, exponential(log_scale));
     }}
 """)
 def activate_scales(begin: int, end: int, raw: wp.array(dtype=float), to: Activation):
