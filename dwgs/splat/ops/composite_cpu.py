@@ -13,7 +13,7 @@ from dwgs.splat.ops.project import Scene, SceneGradient, as_records
 from dwgs.splat.ops.scratch import largest, scratch
 from dwgs.splat.parallel import launch_crew
 
-_RUN = 4096
+_RUN = 2048
 """At least so many Gaussians are dealt out by one thread at a time."""
 _RUNS_PER_THREAD = 4
 _CPU = torch.device("cpu")
