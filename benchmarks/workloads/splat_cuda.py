@@ -43,10 +43,11 @@ def measure(name: str, splats: Splats, view: View, repeats: int) -> list[Metric]
     view = View(view.viewmat.cuda(), view.intrinsics, view.width, view.height)
     ours = OursOnCuda(splats, view)
     rival = _rival(splats, view)
-    metrics = compare(name, {**ours.work(), **({} if rival is None else _work_of(rival, ours))}, repeats)
-    if rival is not None:
+    metrics = []
+    if rival is not None:  # before either is trained
         error = (rival.render()[0] - ours.render()[0]).square().mean()
         metrics.append(Metric(f"splat.{name}.psnr_to_gsplat", -10 * error.log10().item(), "dB"))
+    metrics += compare(name, {**ours.work(), **({} if rival is None else _work_of(rival, ours))}, repeats)
     torch.cuda.reset_peak_memory_stats()
     before = torch.cuda.memory_allocated()
     ours.step()

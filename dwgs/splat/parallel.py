@@ -86,12 +86,15 @@ def pack_crew(kernel: Any, inputs: Sequence, threads: int) -> Callable[[], None]
     command: Any = wp.launch(kernel, 1, [counters, *inputs], device="cpu", record_tape=False, record_cmd=True)
     others: list[Future] = []
 
+    def join(_keep: Any = (counters, inputs)) -> None:  # whose memory it works in
+        command.launch()
+
     def run() -> None:
         for other in others:
             if not other.cancel():
                 other.result()
         counters.zero_()
-        others[:] = [_pool.submit(command.launch) for _ in range(min(threads, CORES) - 1)]
-        command.launch()
+        others[:] = [_pool.submit(join) for _ in range(min(threads, CORES) - 1)]
+        join()
 
     return run

@@ -138,7 +138,7 @@ class SceneGradient:
             v_spans,
             needs_pose,
             object_from_span,
-            wp.from_torch(spans, dtype=wp.vec2i, return_ctype=True),
+            wp.from_torch(spans, dtype=wp.vec2i),
             _cloud(v_tensors),
             wp.from_torch(v_spans, dtype=wp.mat44, return_ctype=True),
             scene.objects,
