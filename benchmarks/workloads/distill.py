@@ -19,13 +19,18 @@ from dwgs.distill import DistillConfig, distill
 from dwgs.scene import InputError
 from dwgs.street import build_street
 
-
 REFERENCE = Path(__file__).with_name("distill_reference.json")
 """What the street converges to; `python -m benchmarks run distill --reference-steps 30000` writes it anew."""
 
 
 def run(frames: int, seconds: Sequence[float], reference_steps: int) -> list[Metric]:
     """Distil once for each of the times; once to convergence, too, if that shall have so many steps."""
+    reference = json.loads(REFERENCE.read_text())
+    if not reference_steps and reference["frames"] != frames:
+        raise InputError(
+            f"the reference beside the benchmark is of {reference['frames']} frames, not {frames}; "
+            "measure one with --reference-steps 30000"
+        )
     street = build_street(frames=frames)
     insertion = street.insertion()
     with Progress() as progress, TemporaryDirectory() as temporary:
@@ -44,12 +49,6 @@ def run(frames: int, seconds: Sequence[float], reference_steps: int) -> list[Met
             report = reach(DistillConfig(steps=reference_steps), f"{reference_steps:,} steps")
             reference = {key: report[key] for key in ("psnr_roi_heldout", "steps")} | {"frames": frames}
             REFERENCE.write_text(json.dumps(reference, indent=2) + "\n")
-    reference = json.loads(REFERENCE.read_text())
-    if reference["frames"] != frames:
-        raise InputError(
-            f"the reference beside the benchmark is of {reference['frames']} frames, not {frames}; "
-            "measure one with --reference-steps 30000"
-        )
     metrics = [
         Metric("distill.street.psnr_converged", reference["psnr_roi_heldout"], "dB"),
         Metric("distill.street.steps_converged", reference["steps"], ""),

@@ -1,5 +1,6 @@
 """The loop: a vehicle is learnt while everything around it stands still."""
 
+import math
 import time
 from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -32,6 +33,8 @@ from dwgs.optimize.schedule import Pace
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, VehicleAsset
 from dwgs.splat import Drawing, RetainedCloud, Splats
 
+PREPARING = 0.4
+"""Share of the time given, if any is, after which no further frame is prepared."""
 TAIL = 0.1
 """Fraction of the schedule, its end, over which the result is averaged."""
 EVENNESS = (0.5, 2.0)
@@ -75,7 +78,11 @@ def distill(
         threads=config.threads,
     )
     learnt = [i for i, sight in enumerate(sights) if not sight.held_out]
-    shots = dict(zip(learnt, (yield from prepare([sights[i] for i in learnt])), strict=True))
+    order = view_order(len(learnt), config.seed)
+    learnt = [learnt[next(order)] for _ in learnt]  # as many as there is time for, spread over the clip
+    deadline = math.inf if config.seconds is None else started + PREPARING * config.seconds
+    prepared_shots = yield from prepare([sights[i] for i in learnt], deadline=deadline)
+    shots = dict(sorted(zip(learnt, prepared_shots, strict=False)))
     prepared = time.monotonic()
 
     poses = BoxPoses(len(sights)) if recipe.refines_poses else None
@@ -85,27 +92,28 @@ def distill(
         schedule = fill_time(config.seconds - (prepared - started))
     else:
         raise InputError(
-            f"preparing {len(shots)} frames took {prepared - started:.1f} s of the {config.seconds:g} s given; "
-            "give more, or fewer frames"
+            f"preparing took {prepared - started:.1f} s of the {config.seconds:g} s given; give more, or fewer frames"
         )
     steps = yield from _fit(shots, vehicle, poses, recipe, config, schedule)
     body, shadow = vehicle.finish()
     if poses is not None:
         times = np.array([sight.frame.camera.time for sight in sights])
-        poses.interpolate(times, np.array([not sight.held_out for sight in sights]))
+        poses.interpolate(times, np.isin(np.arange(len(sights)), list(shots)))
     fitted = time.monotonic()
 
+    taught = [sights[i] for i in shots]
     judged = [i for i, sight in enumerate(sights) if sight.held_out]
     shots |= dict(zip(judged, (yield from prepare([sights[i] for i in judged])), strict=True))
-    report = _evaluate([shots[i] for i in range(len(sights))], body, shadow, poses, config.threads)
+    report = _evaluate(dict(sorted(shots.items())), body, shadow, poses, config.threads)
     yield Evaluated(steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
-    report |= _coverage(sights, insertion)
+    report |= _coverage(taught, insertion)
     report |= {
         "kind": "generated" if is_generated else "recorded",
         "gaussians": len(body) + len(shadow),
         "gaussians_body": len(body),
         "gaussians_shadow": len(shadow),
         "steps": steps,
+        "frames_taught": len(taught),
         "seconds": {
             "prepare": round(prepared - started, 2),
             "fit": round(fitted - prepared, 2),
@@ -164,20 +172,20 @@ def _fit(
     return step
 
 
-def _evaluate(shots: list[Shot], body: Gaussians, shadow: Gaussians, poses: BoxPoses | None, threads: int) -> dict:
+def _evaluate(shots: dict[int, Shot], body: Gaussians, shadow: Gaussians, poses: BoxPoses | None, threads: int) -> dict:
     """Scores of every frame, held-out and learnt."""
     splats = Splats.from_gaussians(body), Splats.from_gaussians(shadow)
     with torch.no_grad():
-        views = [s.view if poses is None else s.view_at(poses.old_from_new(i)) for i, s in enumerate(shots)]
+        views = [s.view if poses is None else s.view_at(poses.old_from_new(i)) for i, s in shots.items()]
     with ThreadPoolExecutor(threads) as pool:  # a frame for each thread
-        return summary(list(pool.map(lambda shot, view: score(shot, view, *splats, threads=1)[0], shots, views)))
+        scores = pool.map(lambda shot, view: score(shot, view, *splats, threads=1)[0], shots.values(), views)
+        return summary(list(scores))
 
 
-def _coverage(sights: list[Sight], insertion: Insertion) -> dict:
-    """From where the vehicle was seen, over the frames that taught it."""
+def _coverage(taught: list[Sight], insertion: Insertion) -> dict:
+    """From where the frames that taught the vehicle saw it."""
     coverage = Coverage(insertion.size)
-    for sight in sights:
-        if not sight.held_out:
-            camera = sight.region.window.camera(sight.camera)
-            coverage.add(camera, sight.world_from_vehicle, sight.region.supervised)
+    for sight in taught:
+        camera = sight.region.window.camera(sight.camera)
+        coverage.add(camera, sight.world_from_vehicle, sight.region.supervised)
     return coverage.report()

@@ -1,5 +1,7 @@
 """What each frame brings to the fit: its pixels, its region, and the frozen background around the vehicle."""
 
+import math
+import time
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -90,12 +92,12 @@ def find_sights(scene: Scene, background: Frozen, insertion: Insertion, recipe: 
 
 def _sight(frame, held_out, scene, background, insertion, recipe) -> Sight | None:
     is_generated = frame.load_reactive_mask is not None
-    time = frame.camera.time
+    moment = frame.camera.time
     if is_generated:
-        insertion.trajectory.require(time)
-    elif not insertion.trajectory.covers(time):
+        insertion.trajectory.require(moment)
+    elif not insertion.trajectory.covers(moment):
         return None
-    world_from_vehicle = insertion.trajectory.at(time)
+    world_from_vehicle = insertion.trajectory.at(moment)
     refined = background.camera(frame)
     camera = frame.camera if is_generated else refined
     if not visible_fraction(camera, world_from_vehicle, insertion) > recipe.visible:
@@ -113,8 +115,12 @@ def prepare_shots(
     insertion: Insertion,
     bounds: NDArray[np.float64],
     threads: int,
+    deadline: float = math.inf,
 ) -> Generator[Preparing, None, list[Shot]]:
-    """Load the pixels of every sight and split its background about ``bounds`` [2, 3] of the vehicle."""
+    """Load the pixels of every sight and split its background about ``bounds`` [2, 3] of the vehicle.
+
+    Of the first sights only, but of one at least, where a ``deadline`` [s] of the monotonic clock passes meanwhile.
+    """
     sweeps = {sweep.frame_index: sweep for sweep in scene.sweeps}
 
     def prepare(sight: Sight) -> Shot:
@@ -149,7 +155,11 @@ def prepare_shots(
 
     shots: list[Shot] = []
     with ThreadPoolExecutor(threads) as pool:
-        for shot in pool.map(prepare, sights):
-            shots.append(shot)
+        futures = [pool.submit(prepare, sight) for sight in sights]
+        for future in futures:
+            shots.append(future.result())
             yield Preparing("background layers", len(shots), len(sights))
+            if time.monotonic() > deadline:
+                pool.shutdown(cancel_futures=True)
+                break
     return shots
