@@ -33,8 +33,8 @@ from dwgs.optimize.schedule import Pace
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, VehicleAsset
 from dwgs.splat import Drawing, RetainedCloud, Splats
 
-PREPARING = 0.4
-"""Share of the time given, if any is, after which no further frame is prepared."""
+PREPARING = 0.3
+"""Share of the time that is left once the frames are chosen, if time is given, in which they are prepared."""
 TAIL = 0.1
 """Fraction of the schedule, its end, over which the result is averaged."""
 EVENNESS = (0.5, 2.0)
@@ -80,7 +80,10 @@ def distill(
     learnt = [i for i, sight in enumerate(sights) if not sight.held_out]
     order = view_order(len(learnt), config.seed)
     learnt = [learnt[next(order)] for _ in learnt]  # as many as there is time for, spread over the clip
-    deadline = math.inf if config.seconds is None else started + PREPARING * config.seconds
+    deadline = math.inf
+    if config.seconds is not None:
+        chosen = time.monotonic()
+        deadline = chosen + PREPARING * (started + config.seconds - chosen)
     prepared_shots = yield from prepare([sights[i] for i in learnt], deadline=deadline)
     shots = dict(sorted(zip(learnt, prepared_shots, strict=False)))
     prepared = time.monotonic()
