@@ -16,7 +16,7 @@ from dwgs.splat.kernels.gather import slot10
 from dwgs.splat.ops.binned import Binned
 from dwgs.splat.ops.composite import PLANES, canvas_of, gradient_of
 from dwgs.splat.ops.composite_cpu import run_size
-from dwgs.splat.ops.project import Scene, SceneGradient, as_records
+from dwgs.splat.ops.project import Subject, SubjectGradient, as_records
 from dwgs.splat.parallel import load, pack_crew
 from dwgs.splat.splats import Layers, Objects, Projected, Splats, View, whole_tiles
 
@@ -125,7 +125,7 @@ class Picture:
 
         moving = View(self.viewmat, view.intrinsics, width, height)
         tensors = (*(leaf.detach() for leaf in cloud.leaves), self.viewmat[None, None])
-        scene = Scene.of(moving, Objects((n,), torch.eye(4)[None]), False, tensors)
+        subject = Subject.of(moving, Objects((n,), torch.eye(4)[None]), False, tensors)
         bins = Binned(own["ends"], own["gaussians"], own["isects"], own["ranges"].view(-1, 2)).to_warp()
         canvas = canvas_of(view, records, self._layers, torch.zeros(count, 0))
         ends, flat = wp.from_torch(own["ends"]), wp.from_torch(own["image"])
@@ -133,16 +133,21 @@ class Picture:
         outputs = [as_records(records), ends, wp.from_torch(own["places"].view(self._runs, -1))]
         outputs += [wp.from_torch(own[name]) for name in ("depths", "spare_depths", "spare_isects")]
         outputs += [flat, wp.from_torch(self._total)]
-        draw = pack_crew(kernels.composite, [scene.cloud, scene.lens, canvas, bins, run, *outputs], cloud.threads)
+        draw = pack_crew(kernels.composite, [subject.cloud, subject.lens, canvas, bins, run, *outputs], cloud.threads)
 
-        v_scene = SceneGradient.of(scene, tensors, cloud.moves, cloud.gradients)
+        v_subject = SubjectGradient.of(subject, tensors, cloud.moves, cloud.gradients)
         v_in = gradient_of((*v_images, None), (1, PLANES, height, width), records.device)
-        inputs = [scene.cloud, scene.lens, canvas, bins, as_records(records), flat, v_in, n, ends, v_scene.spans]
+        inputs = [subject.cloud, subject.lens, canvas, bins, as_records(records), flat, v_in, n, ends, v_subject.spans]
         outputs = [wp.from_torch(own["slots"].view(-1, 10), dtype=slot10), wp.from_torch(torch.zeros(0))]
-        outputs += [as_records(own["v_records"]), wp.from_torch(torch.zeros(0, 0)), v_scene.v_cloud, v_scene.out_spans]
+        outputs += [
+            as_records(own["v_records"]),
+            wp.from_torch(torch.zeros(0, 0)),
+            v_subject.v_cloud,
+            v_subject.out_spans,
+        ]
         adjoint = pack_crew(kernels.composite_adjoint, [*inputs, *outputs], cloud.threads)
         drawing = Drawing(*images, *v_images)
-        return _Packed(cloud.generation, cloud.room, draw, adjoint, v_scene.v_spans, records[0], drawing)
+        return _Packed(cloud.generation, cloud.room, draw, adjoint, v_subject.v_spans, records[0], drawing)
 
 
 @dataclass(frozen=True)

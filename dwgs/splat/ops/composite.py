@@ -13,7 +13,7 @@ from dwgs.scene import InputError
 from dwgs.splat.kernels.canvas import Canvas, Gradient
 from dwgs.splat.ops import composite_cpu, composite_cuda
 from dwgs.splat.ops.binned import Binned
-from dwgs.splat.ops.project import Scene
+from dwgs.splat.ops.project import Subject
 from dwgs.splat.ops.stream import torch_stream
 from dwgs.splat.parallel import load
 from dwgs.splat.splats import Layers, Projected, Rendering, View, whole_tiles
@@ -90,7 +90,7 @@ class _Composite(torch.autograd.Function):
         canvas = canvas_of(view, records, layers, feature)
         with torch_stream(where):
             way, needs_any = WAYS[where.type], any(ctx.needs_input_grad)
-            binned = way.draw(canvas, Scene.empty(), records, image, capacity, threads, needs_any)
+            binned = way.draw(canvas, Subject.empty(), records, image, capacity, threads, needs_any)
         ctx.canvas, ctx.binned, ctx.threads = canvas, binned, threads
         ctx.order, ctx.counts, ctx.needs, ctx.shapes = order, counts, needs, [part.shape for part in parts]
         ctx.save_for_backward(records, image, feature)
@@ -111,7 +111,7 @@ class _Composite(torch.autograd.Function):
         v_features = torch.empty(len(records), trainable, feature.shape[1], device=where)
         with torch_stream(where):
             way = WAYS[where.type]
-            inputs = ctx.canvas, Scene.empty(), binned, records, image, v_image
+            inputs = ctx.canvas, Subject.empty(), binned, records, image, v_image
             way.draw_adjoint(*inputs, v_records, v_features, None, ctx.threads)
         return None, None, None, None, *_by_part(ctx, v_records, v_features)
 
@@ -160,7 +160,7 @@ def bin(records: Tensor, view: View, capacity: int | None, threads: int) -> Binn
     """Which tiles the records [V, N, 16] touch, nearest first; without a ``capacity`` a GPU is waited for."""
     load(wp.device_from_torch(records.device))
     canvas = canvas_of(view, records, None, records.new_zeros(0, 0))
-    return WAYS[records.device.type].draw(canvas, Scene.empty(), records, records.new_zeros(0), capacity, threads)
+    return WAYS[records.device.type].draw(canvas, Subject.empty(), records, records.new_zeros(0), capacity, threads)
 
 
 def canvas_of(view: View, records: Tensor, layers: Layers | None, feature: Tensor) -> Any:

@@ -9,7 +9,7 @@ from torch import Tensor
 from dwgs.splat.kernels import composite_cpu as kernels
 from dwgs.splat.kernels.gather import slot10
 from dwgs.splat.ops.binned import Binned
-from dwgs.splat.ops.project import Scene, SceneGradient, as_records
+from dwgs.splat.ops.project import Subject, SubjectGradient, as_records
 from dwgs.splat.ops.scratch import largest, scratch
 from dwgs.splat.parallel import launch_crew
 
@@ -27,14 +27,14 @@ def run_size(gaussians: int, threads: int) -> int:
 
 def draw(
     canvas: Any,
-    scene: Scene,
+    subject: Subject,
     records: Tensor,
     image: Tensor,
     _capacity: int | None,
     threads: int,
     _trains: bool = False,
 ) -> Binned:
-    """Project a scene to the first of the records [V, N, 16], bin all and fill the ``image``, which may be empty.
+    """Project a subject to the first of the records [V, N, 16], bin all and fill the ``image``, which may be empty.
 
     Room for the intersections is as large as it ever was; where that is too little, they are counted and it is tried
     once more.
@@ -51,7 +51,7 @@ def draw(
         spares = [scratch(name, room, torch.float32, _CPU) for name in ("depths", "spare_depths")]
         spares.append(scratch("spare_isects", room, torch.int32, _CPU))
         outputs = [wp.from_torch(t, return_ctype=True) for t in (ends, places, *spares, image.view(-1), total)]
-        inputs = [scene.cloud, scene.lens, canvas, binned.to_warp(), run, as_records(records), *outputs]
+        inputs = [subject.cloud, subject.lens, canvas, binned.to_warp(), run, as_records(records), *outputs]
         launch_crew(kernels.composite, inputs, threads)
         count = int(total)
         if count <= room:
@@ -60,30 +60,40 @@ def draw(
 
 def draw_adjoint(
     canvas: Any,
-    scene: Scene,
+    subject: Subject,
     binned: Binned,
     records: Tensor,
     image: Tensor,
     v_image: Any,
     v_records: Tensor,
     v_features: Tensor,
-    v_scene: SceneGradient | None,
+    v_subject: SubjectGradient | None,
     threads: int,
 ) -> None:
-    """Fill the gradients [V, T, 16] and [V, T, F] of the first T Gaussians of each view, and that of the scene."""
+    """Fill the gradients [V, T, 16] and [V, T, F] of the first T Gaussians of each view, and that of the subject."""
     count, trainable, features = len(binned.gaussian_from_isect), *v_features.shape[1:]
     slots = scratch("slots", 10 * count, torch.float32, _CPU).view(-1, 10)
     feature_slots = scratch("feature_slots", features * count, torch.float32, _CPU)
     ends = wp.from_torch(binned.ends, return_ctype=True)
     flat = wp.from_torch(image.view(-1), return_ctype=True)
-    inputs = [scene.cloud, scene.lens, canvas, binned.to_warp(), as_records(records), flat, v_image, trainable, ends]
+    inputs = [
+        subject.cloud,
+        subject.lens,
+        canvas,
+        binned.to_warp(),
+        as_records(records),
+        flat,
+        v_image,
+        trainable,
+        ends,
+    ]
     outputs = [
         wp.from_torch(slots, dtype=slot10, return_ctype=True),
         wp.from_torch(feature_slots, return_ctype=True),
         as_records(v_records),
         wp.from_torch(v_features.flatten(0, 1), return_ctype=True),
     ]
-    v_scene = v_scene or SceneGradient.of(Scene.empty(), _NOTHING, False)
+    v_subject = v_subject or SubjectGradient.of(Subject.empty(), _NOTHING, False)
     launch_crew(
-        kernels.composite_adjoint, [*inputs, v_scene.spans, *outputs, v_scene.v_cloud, v_scene.out_spans], threads
+        kernels.composite_adjoint, [*inputs, v_subject.spans, *outputs, v_subject.v_cloud, v_subject.out_spans], threads
     )

@@ -11,7 +11,7 @@ from torch import Tensor
 from dwgs.splat.kernels import bin_cuda, composite_cuda
 from dwgs.splat.kernels.gather import GATHERERS, gather, slot10
 from dwgs.splat.ops.binned import Binned
-from dwgs.splat.ops.project import Scene, SceneGradient, as_records, project_adjoint, project_into
+from dwgs.splat.ops.project import Subject, SubjectGradient, as_records, project_adjoint, project_into
 from dwgs.splat.parallel import BLOCK
 
 
@@ -37,19 +37,19 @@ class Drawn(BinnedOnCuda):
 
 def draw(
     canvas: Any,
-    scene: Scene,
+    subject: Subject,
     records: Tensor,
     image: Tensor,
     capacity: int | None,
     threads: int,
     trains: bool = False,
 ) -> BinnedOnCuda:
-    """Project a scene to the first of the records [V, N, 16], bin all and fill the ``image``, which may be empty.
+    """Project a subject to the first of the records [V, N, 16], bin all and fill the ``image``, which may be empty.
 
     With what it keeps where it ``trains``, the adjoint can follow.
     """
-    if sum(scene.objects.counts):
-        project_into(records, scene, threads)
+    if sum(subject.objects.counts):
+        project_into(records, subject, threads)
     binned = _bin(canvas, records, capacity)
     if not image.numel():
         return binned
@@ -65,17 +65,17 @@ def draw(
 
 def draw_adjoint(
     canvas: Any,
-    scene: Scene,
+    subject: Subject,
     drawn: Drawn,
     records: Tensor,
     image: Tensor,
     v_image: Any,
     v_records: Tensor,
     v_features: Tensor,
-    v_scene: SceneGradient | None,
+    v_subject: SubjectGradient | None,
     threads: int,
 ) -> None:
-    """Fill the gradients [V, T, 16] and [V, T, F] of the first T Gaussians of each view, and that of the scene."""
+    """Fill the gradients [V, T, 16] and [V, T, F] of the first T Gaussians of each view, and that of the subject."""
     trainable, features = v_features.shape[1:]
     count, parts = len(drawn.gaussian_from_isect), (composite_cuda.PARTS, composite_cuda.FEATURE_PARTS)
     slots = wp.from_torch(records.new_zeros(count * parts[0], 10), dtype=slot10)
@@ -89,8 +89,8 @@ def draw_adjoint(
     outputs = [as_records(v_records), wp.from_torch(v_features.flatten(0, 1))]
     inputs = [slots, feature_slots, wp.from_torch(drawn.ends), *numbers, as_records(records), *outputs]
     _launch(gather, len(drawn.ends) * GATHERERS, inputs, records)
-    if v_scene is not None:
-        project_adjoint(v_scene, scene, records, v_records, threads)
+    if v_subject is not None:
+        project_adjoint(v_subject, subject, records, v_records, threads)
 
 
 def _bin(canvas: Any, records: Tensor, capacity: int | None) -> BinnedOnCuda:

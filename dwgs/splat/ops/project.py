@@ -69,11 +69,11 @@ class _Project(torch.autograd.Function):
         tensors = tuple(t.detach().contiguous() for t in tensors)
         records = torch.empty(len(view.viewmats), len(tensors[0]), 16, device=tensors[0].device)
         load(wp.device_from_torch(records.device))
-        scene = Scene.of(view, objects, antialiased, tensors)
+        subject = Subject.of(view, objects, antialiased, tensors)
         with torch_stream(records.device):
-            project_into(records, scene, threads)
+            project_into(records, subject, threads)
         # not the records: whoever keeps its own output is never freed
-        ctx.scene, ctx.threads = scene, threads
+        ctx.subject, ctx.threads = subject, threads
         ctx.save_for_backward(*tensors, records)
         return records
 
@@ -81,14 +81,14 @@ class _Project(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *grad_outputs: Tensor):  # pyright: ignore[reportIncompatibleMethodOverride]
         *tensors, records = (t.detach() for t in ctx.saved_tensors)
-        gradient = SceneGradient.of(ctx.scene, tensors, ctx.needs_input_grad[-1])
+        gradient = SubjectGradient.of(ctx.subject, tensors, ctx.needs_input_grad[-1])
         with torch_stream(records.device):
-            project_adjoint(gradient, ctx.scene, records, grad_outputs[0].contiguous(), ctx.threads)
+            project_adjoint(gradient, ctx.subject, records, grad_outputs[0].contiguous(), ctx.threads)
         return None, None, None, None, *gradient.tensors()
 
 
 @dataclass(frozen=True)
-class Scene:
+class Subject:
     """What is projected, as the kernels take it; who made it keeps the tensors."""
 
     cloud: Any
@@ -96,20 +96,20 @@ class Scene:
     objects: Objects
 
     @staticmethod
-    def of(view: View, objects: Objects, antialiased: bool, tensors: Sequence[Tensor]) -> "Scene":
+    def of(view: View, objects: Objects, antialiased: bool, tensors: Sequence[Tensor]) -> "Subject":
         """Of contiguous ``tensors`` as `checked` gives them."""
-        return Scene(_cloud(tensors), _lens(view, objects, antialiased, tensors[5]), objects)
+        return Subject(_cloud(tensors), _lens(view, objects, antialiased, tensors[5]), objects)
 
     @staticmethod
     @cache
-    def empty() -> "Scene":
+    def empty() -> "Subject":
         """Nothing, seen by nobody."""
-        return Scene(kernels.Cloud(), kernels.Lens(), Objects((0,), torch.eye(4)[None]))
+        return Subject(kernels.Cloud(), kernels.Lens(), Objects((0,), torch.eye(4)[None]))
 
 
 @dataclass(frozen=True)
-class SceneGradient:
-    """Room for the gradient of a scene."""
+class SubjectGradient:
+    """Room for the gradient of a subject."""
 
     v_tensors: list[Tensor]
     """By means, quats, scales, opacities, sh."""
@@ -126,14 +126,14 @@ class SceneGradient:
 
     @staticmethod
     def of(
-        scene: Scene, tensors: Sequence[Tensor], needs_pose: bool, v_tensors: list[Tensor] | None = None
-    ) -> "SceneGradient":
-        """Of the tensors that the scene was made of, in room that is there already or is made."""
+        subject: Subject, tensors: Sequence[Tensor], needs_pose: bool, v_tensors: list[Tensor] | None = None
+    ) -> "SubjectGradient":
+        """Of the tensors that the subject was made of, in room that is there already or is made."""
         where = tensors[0].device
-        object_from_span, spans = _tasks(scene.objects.counts, _GAUSSIANS_PER_TASK[where.type], where)
+        object_from_span, spans = _tasks(subject.objects.counts, _GAUSSIANS_PER_TASK[where.type], where)
         v_tensors = v_tensors or [torch.empty_like(t) for t in tensors[:5]]
         v_spans = torch.empty(len(tensors[5]), len(spans) if needs_pose else 0, 4, 4, device=where)
-        return SceneGradient(
+        return SubjectGradient(
             v_tensors,
             v_spans,
             needs_pose,
@@ -141,11 +141,11 @@ class SceneGradient:
             wp.from_torch(spans, dtype=wp.vec2i),
             _cloud(v_tensors),
             wp.from_torch(v_spans, dtype=wp.mat44, return_ctype=True),
-            scene.objects,
+            subject.objects,
         )
 
     def tensors(self) -> list[Tensor | None]:
-        """By the tensors of the scene; by the poses None where nobody asked."""
+        """By the tensors of the subject; by the poses None where nobody asked."""
         if not self.needs_pose:
             return [*self.v_tensors, None]
         if len(self.objects.counts) == 1:
@@ -154,20 +154,22 @@ class SceneGradient:
         return [*self.v_tensors, v_viewmats.index_add_(1, self.object_from_span, self.v_spans)]
 
 
-def project_into(records: Tensor, scene: Scene, threads: int) -> None:
-    """Write the records of a scene, which come first in each view's [V, N, 16]."""
+def project_into(records: Tensor, subject: Subject, threads: int) -> None:
+    """Write the records of a subject, which come first in each view's [V, N, 16]."""
     where = records.device
     lanes = LANES[where.type]
-    groups = len(records) * -(-sum(scene.objects.counts) // lanes)
+    groups = len(records) * -(-sum(subject.objects.counts) // lanes)
     bounds = even(groups, _WORTH_A_THREAD // lanes, threads)
-    inputs = [scene.cloud, scene.lens, records.shape[1], as_records(records)]
+    inputs = [subject.cloud, subject.lens, records.shape[1], as_records(records)]
     launch(kernels.project, bounds, inputs, wp.device_from_torch(where), threads)
 
 
-def project_adjoint(gradient: SceneGradient, scene: Scene, records: Tensor, v_records: Tensor, threads: int) -> None:
-    """Fill a gradient from that by the scene's records, [V, T, 16]."""
+def project_adjoint(
+    gradient: SubjectGradient, subject: Subject, records: Tensor, v_records: Tensor, threads: int
+) -> None:
+    """Fill a gradient from that by the subject's records, [V, T, 16]."""
     where, tasks = records.device, len(gradient.object_from_span)
-    inputs = [scene.cloud, scene.lens, records.shape[1], as_records(records), as_records(v_records)]
+    inputs = [subject.cloud, subject.lens, records.shape[1], as_records(records), as_records(v_records)]
     inputs += [gradient.spans, gradient.v_cloud, gradient.out_spans]
     bounds = even(tasks, max(1, _WORTH_A_THREAD // _GAUSSIANS_PER_TASK[where.type]), threads)
     launch(kernels.project_adjoint, bounds, inputs, wp.device_from_torch(where), threads)

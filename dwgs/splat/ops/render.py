@@ -9,7 +9,7 @@ from torch.autograd.function import once_differentiable
 
 from dwgs.splat.ops import composite, project
 from dwgs.splat.ops.composite import PLANES, WAYS, canvas_of, gradient_of, pictures
-from dwgs.splat.ops.project import Scene, SceneGradient
+from dwgs.splat.ops.project import Subject, SubjectGradient
 from dwgs.splat.ops.stream import torch_stream
 from dwgs.splat.parallel import load
 from dwgs.splat.splats import Layers, Objects, Projected, Rendering, Splats, View, whole_tiles
@@ -72,11 +72,11 @@ class _Render(torch.autograd.Function):
         if others is not None:
             records[:, len(tensors[0]) :] = others.detach()
         image = torch.empty(views, PLANES + feature.shape[1], *whole_tiles(view.height, view.width), device=where)
-        canvas, scene = canvas_of(view, records, layers, feature), Scene.of(view, objects, antialiased, tensors)
+        canvas, subject = canvas_of(view, records, layers, feature), Subject.of(view, objects, antialiased, tensors)
         with torch_stream(where):
             needs_any = any(ctx.needs_input_grad)
-            binned = WAYS[where.type].draw(canvas, scene, records, image, capacity, threads, needs_any)
-        ctx.canvas, ctx.scene, ctx.binned, ctx.threads = canvas, scene, binned, threads
+            binned = WAYS[where.type].draw(canvas, subject, records, image, capacity, threads, needs_any)
+        ctx.canvas, ctx.subject, ctx.binned, ctx.threads = canvas, subject, binned, threads
         ctx.size = view.height, view.width
         ctx.save_for_backward(records, image, feature, *tensors)
         ctx.set_materialize_grads(False)
@@ -94,8 +94,8 @@ class _Render(torch.autograd.Function):
         v_image = gradient_of(grad_outputs[:4], (len(image), image.shape[1], *ctx.size), where)
         v_records = torch.empty(len(records), trainable, 16, device=where)
         v_features = torch.empty(len(records), trainable, feature.shape[1], device=where)
-        v_scene = SceneGradient.of(ctx.scene, tensors, needs_pose)
+        v_subject = SubjectGradient.of(ctx.subject, tensors, needs_pose)
         with torch_stream(where):
-            inputs = ctx.canvas, ctx.scene, ctx.binned, records, image, v_image
-            WAYS[where.type].draw_adjoint(*inputs, v_records, v_features, v_scene, ctx.threads)
-        return *[None] * 7, v_features.sum(0) if needs_features else None, *v_scene.tensors()
+            inputs = ctx.canvas, ctx.subject, ctx.binned, records, image, v_image
+            WAYS[where.type].draw_adjoint(*inputs, v_records, v_features, v_subject, ctx.threads)
+        return *[None] * 7, v_features.sum(0) if needs_features else None, *v_subject.tensors()
