@@ -21,6 +21,8 @@ from dwgs.splat import View
 
 HOLD_OUT_EVERY, HOLD_OUT_AT = 8, 4
 """Frame 4, 12, 20, ... of each camera's clip is never learnt from."""
+ENOUGH = 32
+"""Frames that are prepared however long it takes: more steps on fewer of them teach less."""
 POSE_SLACK = 0.6
 """Room [m] in the depth interval where boxes are refined."""
 
@@ -119,7 +121,7 @@ def prepare_shots(
 ) -> Generator[Preparing, None, list[Shot]]:
     """Load the pixels of every sight and split its background about ``bounds`` [2, 3] of the vehicle.
 
-    Of the first sights only, but of one at least, where a ``deadline`` [s] of the monotonic clock passes meanwhile.
+    Of the first sights only, but of `ENOUGH`, where a ``deadline`` [s] of the monotonic clock passes meanwhile.
     """
     sweeps = {sweep.frame_index: sweep for sweep in scene.sweeps}
 
@@ -159,7 +161,7 @@ def prepare_shots(
         for future in futures:
             shots.append(future.result())
             yield Preparing("background layers", len(shots), len(sights))
-            if time.monotonic() > deadline:
+            if time.monotonic() > deadline and len(shots) >= ENOUGH:
                 pool.shutdown(cancel_futures=True)
                 break
     return shots

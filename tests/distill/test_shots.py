@@ -1,5 +1,6 @@
 import numpy as np
 
+import dwgs.distill.shots as shots_module
 from dwgs.distill.config import GENERATED
 from dwgs.distill.layers import FrozenBackground
 from dwgs.distill.model import body_bounds
@@ -23,9 +24,10 @@ def test_every_sight_is_prepared_in_its_order(toy):
     assert [shot.sight.frame.index for shot in shots] == [sight.frame.index for sight in sights]
 
 
-def test_one_frame_is_prepared_however_late_it_is(toy):
+def test_enough_frames_are_prepared_however_late_it_is(toy, monkeypatch):
+    monkeypatch.setattr(shots_module, "ENOUGH", 3)
     sights, shots = prepared(toy, deadline=0.0)
-    assert [shot.sight for shot in shots] == sights[:1]
+    assert [shot.sight for shot in shots] == sights[:3]
 
 
 def test_what_may_not_show_the_vehicle_is_compared_with_the_background(toy):
