@@ -13,8 +13,8 @@ class DistillConfig:
     steps: int = 1200
     """Length of the schedule. Never stop early: the rates fall, and quality rises, at its end."""
     seconds: float | None = None
-    """Time for preparing and fitting [s]: the schedule is as long as fits, ``steps`` count no more, and what comes out
-    depends on the machine."""
+    """Time for preparing and fitting [s]: as many frames teach and the schedule is as long as fits, ``steps`` count no
+    more, and what comes out depends on the machine."""
     gaussians: int = 20_000
     """At most so many on the vehicle's body."""
     shadow_margin: float = 2.5

@@ -48,10 +48,11 @@ def distill(
 
     A scene whose frames carry reactive masks is generated video: its vehicle is exactly where the insertion
     says, and is learnt from every frame that shows it. Otherwise the vehicle was recorded: its box is refined
-    in every frame, and the loss forgives what no rigid body does. Every eighth frame is only scored.
+    in every frame, and the loss forgives what no rigid body does. Every eighth frame is only scored. Where
+    ``config.seconds`` are too few to prepare all frames, some teach, spread over the clip.
 
     Yields events while it runs; returns the asset and a report of JSON values. Raises `InputError` where no
-    frame shows the vehicle, or where a generated clip outlasts the trajectory.
+    frame shows the vehicle, where a generated clip outlasts the trajectory, or where no time is left to fit.
     """
     config = config or DistillConfig()
     if config.steps < 1 or config.gaussians < 1 or (config.seconds is not None and not config.seconds > 0):
