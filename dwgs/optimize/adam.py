@@ -10,8 +10,9 @@ import warp as wp
 from torch import Tensor
 
 from dwgs.optimize.kernels import activation, adam_cpu, adam_cuda
+from dwgs.splat import crew
 from dwgs.splat.ops.stream import torch_stream
-from dwgs.splat.parallel import launch, pack_crew
+from dwgs.splat.parallel import launch
 
 EPSILON = 1e-15
 """Adam's, where nothing shall be still."""
@@ -128,7 +129,7 @@ class _OnCpu:
         numbers = wp.array(self._numbers, dtype=adam_cpu.vec6, device="cpu", copy=False)
         out = wp.array(self._sums, dtype=wp.vec2, device="cpu", copy=False)
         threads = THREADS if len(self._sums) >= WORTH_A_THREAD else 1
-        self._run = pack_crew(adam_cpu.adam, [*self._groups, numbers, *betas, self._to, out], threads)
+        self._run = crew.pack(adam_cpu.adam, [*self._groups, numbers, *betas, self._to, out], threads)
 
 
 def _sums_of(group: Group) -> tuple[float, float]:

@@ -2,15 +2,14 @@
 
 Warp's CPU launches are serial loops that release the GIL. There are two ways to share one. A kernel of one pass takes
 ``first`` as its first argument and works on item ``first + wp.tid()``; chunks of items are handed out. A kernel of
-several passes is launched once by every thread, see `crew`. Items are independent, so that results do not depend on
+several passes is run once by every thread of a `crew`. Items are independent, so that results do not depend on
 the number of threads; neither Warp's atomics nor its tiles are safe in threads.
 """
 
 import itertools
-import os
 import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import warp as wp
@@ -21,10 +20,8 @@ CHUNKS_PER_THREAD = 4
 """Threads take chunks as they come, so one slow thread does not hold up the rest."""
 BLOCK = 128
 """Threads per block of a GPU: twenty thousand Gaussians keep all of a large one busy."""
-CORES = os.cpu_count() or 1
-"""More threads than cores in a crew would wait for each other."""
 
-_MODULES = {"cpu": (project, composite_cpu), "cuda": (project, bin_cuda, composite_cuda, gather)}
+_MODULES = {"cpu": (project, composite_cpu, crew), "cuda": (project, bin_cuda, composite_cuda, gather)}
 _loaded: set[str] = set()
 _loading = threading.Lock()
 _pool = ThreadPoolExecutor(max_workers=16, thread_name_prefix="splat")
@@ -70,31 +67,3 @@ def launch(kernel: Any, bounds: Sequence[int], inputs: Sequence, device: wp.Devi
     for other in others:
         if not other.cancel():  # a thread that has not begun by now has nothing left to do
             other.result()
-
-
-def launch_crew(kernel: Any, inputs: Sequence, threads: int) -> None:
-    """Run a ``kernel`` as `crew` describes it, whose first argument are the counters, by so many CPU threads."""
-    pack_crew(kernel, inputs, threads)()
-
-
-def pack_crew(kernel: Any, inputs: Sequence, threads: int) -> Callable[[], None]:
-    """What runs a ``kernel`` as `crew` describes it, again and again.
-
-    Nobody waits for a thread that comes too late: it finds a crew that is done. Only the next run makes sure of it.
-    """
-    counters = wp.zeros(crew.SIZE, dtype=int, device="cpu")
-    command: Any = wp.launch(kernel, 1, [counters, *inputs], device="cpu", record_tape=False, record_cmd=True)
-    others: list[Future] = []
-
-    def join(_keep: Any = (counters, inputs)) -> None:  # whose memory it works in
-        command.launch()
-
-    def run() -> None:
-        for other in others:
-            if not other.cancel():
-                other.result()
-        counters.zero_()
-        others[:] = [_pool.submit(join) for _ in range(min(threads, CORES) - 1)]
-        join()
-
-    return run

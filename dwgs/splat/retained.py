@@ -10,6 +10,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from dwgs.splat import crew
 from dwgs.splat.constants import TILE
 from dwgs.splat.kernels import composite_cpu as kernels
 from dwgs.splat.kernels.gather import slot10
@@ -17,7 +18,7 @@ from dwgs.splat.ops.binned import Binned
 from dwgs.splat.ops.composite import PLANES, canvas_of, gradient_of
 from dwgs.splat.ops.composite_cpu import run_size
 from dwgs.splat.ops.project import Subject, SubjectGradient, as_records
-from dwgs.splat.parallel import load, pack_crew
+from dwgs.splat.parallel import load
 from dwgs.splat.splats import Layers, Objects, Projected, Splats, View, whole_tiles
 
 _GROWTH = 1.25
@@ -133,7 +134,7 @@ class Picture:
         outputs = [as_records(records), ends, wp.from_torch(own["places"].view(self._runs, -1))]
         outputs += [wp.from_torch(own[name]) for name in ("depths", "spare_depths", "spare_isects")]
         outputs += [flat, wp.from_torch(self._total)]
-        draw = pack_crew(kernels.composite, [subject.cloud, subject.lens, canvas, bins, run, *outputs], cloud.threads)
+        draw = crew.pack(kernels.composite, [subject.cloud, subject.lens, canvas, bins, run, *outputs], cloud.threads)
 
         v_subject = SubjectGradient.of(subject, tensors, cloud.moves, cloud.gradients)
         v_in = gradient_of((*v_images, None), (1, PLANES, height, width), records.device)
@@ -145,7 +146,7 @@ class Picture:
             v_subject.v_cloud,
             v_subject.out_spans,
         ]
-        adjoint = pack_crew(kernels.composite_adjoint, [*inputs, *outputs], cloud.threads)
+        adjoint = crew.pack(kernels.composite_adjoint, [*inputs, *outputs], cloud.threads)
         drawing = Drawing(*images, *v_images)
         return _Packed(cloud.generation, cloud.room, draw, adjoint, v_subject.v_spans, records[0], drawing)
 

@@ -9,7 +9,7 @@ import torch
 
 from dwgs.scene import Camera
 from dwgs.scene.pose import pose, quat_from_rotation, rotation_from_quat
-from dwgs.splat import Splats, View, parallel, reference, render
+from dwgs.splat import Splats, View, reference, render
 
 IMAGE_TOLERANCE = 5e-6
 """Worst seen 1.6e-6: float32, and an exponential good to 1e-6."""
@@ -115,18 +115,3 @@ def test_a_crop_shows_the_pixels_of_the_whole(make_cloud):
     inside = ~reference.borderline(splats, whole)[21:51, 37:78]
     difference = (render(splats, whole).rgb[21:51, 37:78] - render(splats, crop).rgb).abs().amax(-1)
     assert (difference * inside).max() < MOVED_TOLERANCE
-
-
-def test_nobody_waits_for_a_thread_that_comes_too_late(make_cloud, make_view, leaves, gradients, monkeypatch):
-    splats, view = make_cloud(n=3000), make_view()
-    tensors = leaves(splats)
-    expected = gradients(render(splats, view, threads=2), tensors)
-    late = []
-    monkeypatch.setattr(parallel._pool, "submit", late.append)
-    monkeypatch.setattr(parallel, "CORES", 4)
-    values = gradients(render(splats, view, threads=4), tensors)
-    assert len(late) == 6  # three, forward and backward
-    for join in late:
-        join()
-    for value, other in zip(values, expected, strict=True):
-        assert value.equal(other)

@@ -4,7 +4,7 @@
 import warp as wp
 
 from dwgs.optimize.kernels.activation import Activation, activate_means, activate_opacities, activate_scales
-from dwgs.splat.kernels.crew import close_phase, dismiss, is_boss, open_phase, take
+from dwgs.splat.kernels.crew import close_phase, is_leader, open_phase, take
 from dwgs.warp_start import start_warp
 
 start_warp()
@@ -104,9 +104,9 @@ def adam(
     proportion only: Adam's epsilon), and what undoes both moments' start at zero. ``sums`` are by span and group those
     of the new variances.
     """
-    boss = is_boss(crew)
-    open_phase(crew, 0, boss, sums.shape[0])
-    span = take(crew, 0, -1)
+    leads = is_leader(crew)
+    open_phase(crew, 0, leads, sums.shape[0])
+    span = take(crew, 0, leads, -1)
     while span >= 0:
         begin = span * SPAN
         end = wp.min(begin + SPAN, opacities.raw.shape[0])
@@ -119,6 +119,5 @@ def adam(
         activate_means(3 * begin, 3 * end, means.raw, to)
         activate_scales(3 * begin, 3 * end, scales.raw, to)
         activate_opacities(begin, end, opacities.raw, to)
-        span = take(crew, 0, span)
-    close_phase(crew, 0, boss)
-    dismiss(crew, boss)
+        span = take(crew, 0, leads, span)
+    close_phase(crew, 0, leads)

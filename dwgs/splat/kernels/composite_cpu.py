@@ -13,7 +13,7 @@ from dwgs.splat.constants import MAX_ALPHA, MIN_ALPHA, STOP_TRANSMITTANCE
 from dwgs.splat.kernels.bin_cpu import allot, count_run, deal_run, sort_tile
 from dwgs.splat.kernels.bins import Bins
 from dwgs.splat.kernels.canvas import Canvas, Gradient
-from dwgs.splat.kernels.crew import close_phase, dismiss, is_boss, open_phase, take
+from dwgs.splat.kernels.crew import close_phase, is_leader, open_phase, take
 from dwgs.splat.kernels.gather import slot10, sum_slots
 from dwgs.splat.kernels.lanes import LANES, TRANSPOSE
 from dwgs.splat.kernels.project import Cloud, Lens, project_adjoint_of, project_group, record16
@@ -356,30 +356,30 @@ def composite(
     In each view the cloud's records come first; those behind them are there already. Without an image nothing is
     drawn; without room for the ``total`` of intersections nothing but that is found.
     """
-    boss = is_boss(crew)
+    leads = is_leader(crew)
     groups = lens.intrinsics.shape[0] * ((cloud.means.shape[0] + _LANES - 1) / _LANES)
-    open_phase(crew, 0, boss, (groups + _GROUPS - 1) / _GROUPS)
-    some = take(crew, 0, -1)
+    open_phase(crew, 0, leads, (groups + _GROUPS - 1) / _GROUPS)
+    some = take(crew, 0, leads, -1)
     while some >= 0:
         for group in range(some * _GROUPS, wp.min((some + 1) * _GROUPS, groups)):
             project_group(group, cloud, lens, canvas.gaussians, records)
-        some = take(crew, 0, some)
-    close_phase(crew, 0, boss)
+        some = take(crew, 0, leads, some)
+    close_phase(crew, 0, leads)
 
     tiles = wp.vec2i(canvas.tiles_across, canvas.tiles_down)
-    open_phase(crew, 1, boss, places.shape[0])
-    run = take(crew, 1, -1)
+    open_phase(crew, 1, leads, places.shape[0])
+    run = take(crew, 1, leads, -1)
     while run >= 0:
         count_run(run, run_size, records, canvas.gaussians, tiles, ends, places)
-        run = take(crew, 1, run)
-    close_phase(crew, 1, boss)
+        run = take(crew, 1, leads, run)
+    close_phase(crew, 1, leads)
 
     is_room = True
-    if boss:
+    if leads:
         total[0] = allot(ends, places, bins.ranges)
         is_room = total[0] <= depths.shape[0]
-    open_phase(crew, 2, boss, places.shape[0] * int(is_room))
-    run = take(crew, 2, -1)
+    open_phase(crew, 2, leads, places.shape[0] * int(is_room))
+    run = take(crew, 2, leads, -1)
     while run >= 0:
         deal_run(
             run,
@@ -393,18 +393,17 @@ def composite(
             bins.isect_from_sorted,
             bins.gaussian_from_isect,
         )
-        run = take(crew, 2, run)
-    close_phase(crew, 2, boss)
+        run = take(crew, 2, leads, run)
+    close_phase(crew, 2, leads)
 
-    open_phase(crew, 3, boss, bins.ranges.shape[0] * int(is_room))
-    tile = take(crew, 3, -1)
+    open_phase(crew, 3, leads, bins.ranges.shape[0] * int(is_room))
+    tile = take(crew, 3, leads, -1)
     while tile >= 0:
         sort_tile(tile, bins.ranges, depths, bins.isect_from_sorted, spare_depths, spare_isects)
         if image.shape[0] > 0:
             draw_tile(tile, canvas, bins, records, image)
-        tile = take(crew, 3, tile)
-    close_phase(crew, 3, boss)
-    dismiss(crew, boss)
+        tile = take(crew, 3, leads, tile)
+    close_phase(crew, 3, leads)
 
 
 @wp.kernel
@@ -429,28 +428,27 @@ def composite_adjoint(
     v_viewmats: wp.array2d(dtype=wp.mat44),
 ):
     """Slots by tiles, their sums by Gaussians, the cloud's gradient by ``spans``, once per thread of the crew."""
-    boss = is_boss(crew)
-    open_phase(crew, 0, boss, bins.ranges.shape[0])
-    tile = take(crew, 0, -1)
+    leads = is_leader(crew)
+    open_phase(crew, 0, leads, bins.ranges.shape[0])
+    tile = take(crew, 0, leads, -1)
     while tile >= 0:
         draw_tile_adjoint(tile, canvas, bins, records, image, v_image, trainable, slots, feature_slots)
-        tile = take(crew, 0, tile)
-    close_phase(crew, 0, boss)
+        tile = take(crew, 0, leads, tile)
+    close_phase(crew, 0, leads)
 
-    open_phase(crew, 1, boss, (ends.shape[0] + GATHERED - 1) / GATHERED)
-    some = take(crew, 1, -1)
+    open_phase(crew, 1, leads, (ends.shape[0] + GATHERED - 1) / GATHERED)
+    some = take(crew, 1, leads, -1)
     while some >= 0:
         for i in range(some * GATHERED, wp.min((some + 1) * GATHERED, ends.shape[0])):
             sum_slots(
                 i, slots, feature_slots, ends, canvas.gaussians, trainable, canvas.features, v_records, v_features
             )
-        some = take(crew, 1, some)
-    close_phase(crew, 1, boss)
+        some = take(crew, 1, leads, some)
+    close_phase(crew, 1, leads)
 
-    open_phase(crew, 2, boss, spans.shape[0])
-    span = take(crew, 2, -1)
+    open_phase(crew, 2, leads, spans.shape[0])
+    span = take(crew, 2, leads, -1)
     while span >= 0:
         project_adjoint_of(span, cloud, lens, canvas.gaussians, records, v_records, spans, v_cloud, v_viewmats)
-        span = take(crew, 2, span)
-    close_phase(crew, 2, boss)
-    dismiss(crew, boss)
+        span = take(crew, 2, leads, span)
+    close_phase(crew, 2, leads)

@@ -6,12 +6,12 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from dwgs.splat import crew
 from dwgs.splat.kernels import composite_cpu as kernels
 from dwgs.splat.kernels.gather import slot10
 from dwgs.splat.ops.binned import Binned
 from dwgs.splat.ops.project import Subject, SubjectGradient, as_records
 from dwgs.splat.ops.scratch import largest, scratch
-from dwgs.splat.parallel import launch_crew
 
 _RUN = 2048
 """At least so many Gaussians are dealt out by one thread at a time."""
@@ -52,7 +52,7 @@ def draw(
         spares.append(scratch("spare_isects", room, torch.int32, _CPU))
         outputs = [wp.from_torch(t, return_ctype=True) for t in (ends, places, *spares, image.view(-1), total)]
         inputs = [subject.cloud, subject.lens, canvas, binned.to_warp(), run, as_records(records), *outputs]
-        launch_crew(kernels.composite, inputs, threads)
+        crew.pack(kernels.composite, inputs, threads)()
         count = int(total)
         if count <= room:
             return Binned(ends, gaussians[:count], isects[:count], ranges)
@@ -94,6 +94,5 @@ def draw_adjoint(
         wp.from_torch(v_features.flatten(0, 1), return_ctype=True),
     ]
     v_subject = v_subject or SubjectGradient.of(Subject.empty(), _NOTHING, False)
-    launch_crew(
-        kernels.composite_adjoint, [*inputs, v_subject.spans, *outputs, v_subject.v_cloud, v_subject.out_spans], threads
-    )
+    outputs += [v_subject.v_cloud, v_subject.out_spans]
+    crew.pack(kernels.composite_adjoint, [*inputs, v_subject.spans, *outputs], threads)()
