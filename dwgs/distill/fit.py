@@ -1,55 +1,55 @@
-"""The loop: a vehicle is learnt while everything around it stands still."""
+"""Scene x Background x Insertion -> VehicleAsset: a vehicle is learnt while everything around it stands still."""
 
 import math
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from functools import partial
 
 import numpy as np
-import torch
 
-from dwgs.distill.config import GENERATED, RECORDED, DistillConfig, Recipe
+from dwgs.distill.config import GENERATED, RECORDED, DistillConfig
 from dwgs.distill.coverage import Coverage
 from dwgs.distill.evaluate import score, summary
 from dwgs.distill.initialize import initialize_body
 from dwgs.distill.layers import Frozen, FrozenBackground
-from dwgs.distill.model import BoxPoses, Vehicle
-from dwgs.distill.photometric import Photometric, photometric
+from dwgs.distill.learner import Learner
+from dwgs.distill.model import Vehicle
+from dwgs.distill.poses import BoxPoses
 from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
 from dwgs.optimize import (
+    Checkpoint,
     Evaluated,
     Event,
     Grown,
-    Step,
     count_steps,
     fill_time,
-    hold_then_decay,
     view_order,
 )
-from dwgs.optimize.schedule import Pace
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, VehicleAsset
-from dwgs.splat import Drawing, RetainedCloud, Splats
+from dwgs.splat import Splats
 
 PREPARING = 0.3
 """Share of the time that is left once the frames are chosen, if time is given, in which they are prepared."""
-TAIL = 0.1
-"""Fraction of the schedule, its end, over which the result is averaged."""
-EVENNESS = (0.5, 2.0)
-"""Bounds on the weight that makes every view equally heavy."""
 
 
 def distill(
-    scene: Scene, background: Background | Frozen, insertion: Insertion, config: DistillConfig | None = None
+    scene: Scene,
+    background: Background | Frozen,
+    insertion: Insertion,
+    config: DistillConfig | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> Generator[Event, None, tuple[VehicleAsset, dict]]:
     """Learn the vehicle that a scene shows, as Gaussians in its own frame; the background is frozen.
 
-    A scene whose frames carry reactive masks is generated video: its vehicle is exactly where the insertion
-    says, and is learnt from every frame that shows it. Otherwise the vehicle was recorded: its box is refined
-    in every frame, and the loss forgives what no rigid body does. Every eighth frame is only scored. Where
-    ``config.seconds`` are too few to prepare all frames, some teach, spread over the clip.
+    A scene whose frames carry reactive masks is generated video: its vehicle is where the insertion says, and is
+    learnt from every frame that shows it. Otherwise the vehicle was recorded, and the loss forgives what no rigid
+    body does. The poses of a recorded vehicle are refined, and those of a path that trembles as no vehicle does.
+    Every eighth frame is only scored. Where
+    ``config.seconds`` are too few to prepare all frames, some teach, spread over the clip. A fit of so many steps
+    goes on from its ``checkpoint``, to the same bytes; one of so many seconds begins anew.
 
     Yields events while it runs; returns the asset and a report of JSON values. Raises `InputError` where no
     frame shows the vehicle, where a generated clip outlasts the trajectory, or where no time is left to fit.
@@ -69,6 +69,9 @@ def distill(
         shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
     vehicle = Vehicle(body.result(), shadow, insertion.size, recipe)
     yield Grown(0, len(vehicle))
+    poses: BoxPoses | None = BoxPoses(sights, recipe.robust)
+    if not (recipe.refines_poses or poses.is_rough()):
+        poses = None
 
     prepare = partial(
         prepare_shots,
@@ -77,6 +80,7 @@ def distill(
         insertion=insertion,
         bounds=vehicle.bounds,
         threads=config.threads,
+        refines_poses=poses is not None,
     )
     learnt = [i for i, sight in enumerate(sights) if not sight.held_out]
     order = view_order(len(learnt), config.seed)
@@ -89,7 +93,6 @@ def distill(
     shots = dict(sorted(zip(learnt, prepared_shots, strict=False)))
     prepared = time.monotonic()
 
-    poses = BoxPoses(len(sights)) if recipe.refines_poses else None
     if config.seconds is None:
         schedule = count_steps(config.steps)
     elif prepared - started < config.seconds:
@@ -98,11 +101,9 @@ def distill(
         raise InputError(
             f"preparing took {prepared - started:.1f} s of the {config.seconds:g} s given; give more, or fewer frames"
         )
-    steps = yield from _fit(shots, vehicle, poses, recipe, config, schedule)
+    learner = Learner(shots, vehicle, poses, recipe, config)
+    steps = yield from learner.run(schedule, checkpoint if config.seconds is None else None)
     body, shadow = vehicle.finish()
-    if poses is not None:
-        times = np.array([sight.frame.camera.time for sight in sights])
-        poses.interpolate(times, np.isin(np.arange(len(sights)), list(shots)))
     fitted = time.monotonic()
 
     taught = [sights[i] for i in shots]
@@ -111,6 +112,8 @@ def distill(
     report = _evaluate(dict(sorted(shots.items())), body, shadow, poses, config.threads)
     yield Evaluated(steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
     report |= _coverage(taught, insertion)
+    corrected = {} if poses is None else poses.report()
+    report |= corrected
     report |= {
         "kind": "generated" if is_generated else "recorded",
         "gaussians": len(body) + len(shadow),
@@ -127,60 +130,15 @@ def distill(
     }
     provenance = {"scene": scene.name, "config": asdict(config), "background": before}
     quality = {key: report[key] for key in ("psnr_roi_heldout", "ssim_roi_heldout", "psnr_object_heldout")}
-    quality |= {key: report[key] for key in ("azimuths", "side_pixels")}
+    quality |= {key: report[key] for key in ("azimuths", "side_pixels")} | corrected
     asset = VehicleAsset(body, shadow, np.asarray(insertion.size), insertion.category, provenance, quality)
     return asset, report
-
-
-def _fit(
-    shots: dict[int, Shot],
-    vehicle: Vehicle,
-    poses: BoxPoses | None,
-    recipe: Recipe,
-    config: DistillConfig,
-    schedule: Iterator[Pace],
-) -> Generator[Event, None, int]:
-    """Run the schedule on ``shots`` by their number among all; gives how many steps it had."""
-    learnt = list(shots)
-    cloud = RetainedCloud(vehicle.splats(), config.threads, moves=poses is not None)
-    pictures = {i: shot.frozen.retain(cloud, shot.view) for i, shot in shots.items()}
-    judges: dict[int, tuple[Drawing, Photometric]] = {}
-    squared_errors: dict[int, float] = {}
-    order = view_order(len(learnt), config.seed)
-    step = 0
-    for pace in schedule:
-        step, i = pace.step, learnt[next(order)]
-        shot, picture, viewmat = shots[i], pictures[i], None
-        if poses is not None and step > len(learnt):
-            viewmat = shot.view_at(poses.old_from_new(i)).viewmat
-            picture.viewmat.copy_(viewmat.detach())
-        drawing = picture.draw()
-        if i not in judges or judges[i][0] is not drawing:
-            judges[i] = drawing, photometric(drawing, shot, recipe)
-        loss = judges[i][1]()
-        if not recipe.robust:
-            squared_errors[i] = max(loss, 1e-8)
-            mean = sum(squared_errors.values()) / len(squared_errors)
-            drawing.v_rgb.mul_(float(np.clip((mean / squared_errors[i]) ** 0.5, *EVENNESS)))
-        drawing.v_depth.zero_()
-        drawing.v_alpha.zero_()
-        if shot.lidar is not None and config.lidar_weight > 0:
-            loss += shot.lidar.pull(drawing, config.lidar_weight)
-        picture.adjoint()
-        factor = hold_then_decay(pace.progress, recipe.hold, recipe.final)
-        vehicle.step(factor, is_averaged=pace.progress > 1 - TAIL)
-        if poses is not None and viewmat is not None:
-            viewmat.backward(picture.v_viewmat)
-            poses.step(factor)
-        yield Step(step, pace.steps, loss)
-    return step
 
 
 def _evaluate(shots: dict[int, Shot], body: Gaussians, shadow: Gaussians, poses: BoxPoses | None, threads: int) -> dict:
     """Scores of every frame, held-out and learnt."""
     splats = Splats.from_gaussians(body), Splats.from_gaussians(shadow)
-    with torch.no_grad():
-        views = [s.view if poses is None else s.view_at(poses.old_from_new(i)) for i, s in shots.items()]
+    views = [s.view if poses is None else s.view_at(poses.old_from_new(i)) for i, s in shots.items()]
     with ThreadPoolExecutor(threads) as pool:  # a frame for each thread
         scores = pool.map(lambda shot, view: score(shot, view, *splats, threads=1)[0], shots.values(), views)
         return summary(list(scores))

@@ -1,14 +1,15 @@
-"""The vehicle while it is learnt: body and shadow, each kept in its place, and the poses of its box."""
+"""The vehicle while it is learnt: body and shadow, each kept in its place."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from dwgs.distill.config import Recipe
-from dwgs.optimize import PoseParameters, SplatParameters, Together
+from dwgs.optimize import SplatParameters, Together
 from dwgs.scene import Gaussians
 from dwgs.splat import Splats
 
@@ -22,15 +23,6 @@ SHADOW_SCALES = (0.3, 0.3, 0.02)
 """Largest standard deviations of a shadow Gaussian [m]: it stays flat."""
 CUT = 1 / 255
 """A Gaussian of lower opacity is never drawn."""
-
-MAX_ROTATION = 0.05
-"""How far a box may be turned about each axis [rad]."""
-MAX_TRANSLATION = 0.2
-"""How far a box may be shifted along each axis [m]."""
-ROTATION_RATE = 2e-3
-"""Step size of a box's rotation [rad]."""
-TRANSLATION_RATE = 8e-3
-"""Step size of a box's position [m]."""
 
 
 class Vehicle:
@@ -71,6 +63,17 @@ class Vehicle:
                 average.lerp_(flat, 1 / self._averaged)
             self._average = self._average or flats
 
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that further steps and the result depend on."""
+        parts = [part.state_dict() for part in self._parts]
+        return {"parts": parts, "average": self._average, "averaged": self._averaged}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Be what `state_dict` gave."""
+        for part, saved in zip(self._parts, state["parts"], strict=True):
+            part.load_state_dict(saved)
+        self._average, self._averaged = list(state["average"]), state["averaged"]
+
     def finish(self) -> tuple[Gaussians, Gaussians]:
         """Body and shadow, the mean over the averaged steps, without what is too faint ever to be drawn."""
         for part, average in zip(self._parts, self._average, strict=False):
@@ -95,30 +98,3 @@ def shadow_bounds(size: NDArray, shadow: Gaussians) -> NDArray[np.float64]:
         return np.array([[0, 0, ground], [0, 0, ground]])
     low, high = shadow.means[:, :2].min(0) - 0.1, shadow.means[:, :2].max(0) + 0.1
     return np.array([[*low, ground + SHADOW_HEIGHT[0]], [*high, ground + SHADOW_HEIGHT[1]]], np.float64)
-
-
-class BoxPoses:
-    """Corrections of annotated boxes, one per frame; a held-out frame takes its neighbours' in time."""
-
-    def __init__(self, count: int) -> None:
-        self._parameters = PoseParameters(count, ROTATION_RATE, TRANSLATION_RATE)
-
-    def old_from_new(self, i: int) -> Tensor:
-        """[4, 4] differentiable: ``world_from_new = world_from_old @ old_from_new``."""
-        return self._parameters.matrix(i)
-
-    def step(self, factor: float) -> None:
-        """One step of Adam; no correction grows beyond what the layers of the background allow for."""
-        self._parameters.step(factor)
-        with torch.no_grad():
-            self._parameters.rotations.clamp_(-MAX_ROTATION, MAX_ROTATION)
-            self._parameters.translations.clamp_(-MAX_TRANSLATION, MAX_TRANSLATION)
-
-    def interpolate(self, times: NDArray[np.float64], is_known: NDArray[np.bool_]) -> None:
-        """Fill in the poses at ``times`` [s] that are not known, linearly between those that are."""
-        known = np.flatnonzero(is_known)[np.argsort(times[is_known])]
-        with torch.no_grad():
-            for values in (self._parameters.rotations, self._parameters.translations):
-                for axis in range(3):
-                    filled = np.interp(times[~is_known], times[known], values[known, axis].numpy())
-                    values[torch.from_numpy(~is_known), axis] = torch.from_numpy(filled.astype(np.float32))

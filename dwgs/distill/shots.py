@@ -63,9 +63,9 @@ class Shot:
     lidar: LidarDepths | None
     """Depths to agree with."""
 
-    def view_at(self, old_from_new: Tensor) -> View:
+    def view_at(self, old_from_new: NDArray[np.float64]) -> View:
         """The view of the vehicle once its pose is corrected."""
-        return replace(self.view, viewmat=self.view.viewmat @ old_from_new)
+        return replace(self.view, viewmat=self.view.viewmat @ torch.from_numpy(old_from_new).float())
 
 
 def find_sights(scene: Scene, background: Frozen, insertion: Insertion, recipe: Recipe, threads: int) -> list[Sight]:
@@ -117,6 +117,7 @@ def prepare_shots(
     insertion: Insertion,
     bounds: NDArray[np.float64],
     threads: int,
+    refines_poses: bool = False,
     deadline: float = math.inf,
 ) -> Generator[Preparing, None, list[Shot]]:
     """Load the pixels of every sight and split its background about ``bounds`` [2, 3] of the vehicle.
@@ -132,7 +133,7 @@ def prepare_shots(
         interval = depth_interval(
             sight.camera.camera_from_world @ sight.world_from_vehicle,
             bounds,
-            0.0 if is_generated else POSE_SLACK,
+            POSE_SLACK if refines_poses else 0.0,
         )
         background_camera = window.camera(sight.background_camera)
         frozen = background.freeze(background_camera, sight.frame.camera_name, interval)

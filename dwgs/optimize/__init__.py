@@ -1,5 +1,6 @@
 """What both fits share: parameters, losses, schedule, events."""
 
+from dwgs.optimize.checkpoint import Checkpoint as Checkpoint
 from dwgs.optimize.events import Evaluated as Evaluated
 from dwgs.optimize.events import Event as Event
 from dwgs.optimize.events import Grown as Grown

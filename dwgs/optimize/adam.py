@@ -83,6 +83,14 @@ class Adam(Protocol):
         """
         ...
 
+    def state(self) -> list[list[float]]:
+        """What it knows beside the groups' moments."""
+        ...
+
+    def load_state(self, state: list[list[float]]) -> None:
+        """Know what `state` gave."""
+        ...
+
 
 def adam(groups: Mapping[str, Group], activated: Activated) -> Adam:
     """On a CPU or on a GPU, wherever they are; the Gaussians are those of the parameters from now on."""
@@ -121,6 +129,12 @@ class _OnCpu:
         is_known = [name in gradients for name in NAMES]
         sums = self._sums.sum(0, dtype=np.float64) / self._sizes
         self._mean_squares[is_known] = sums[is_known]
+
+    def state(self) -> list[list[float]]:
+        return self._mean_squares.tolist()
+
+    def load_state(self, state: list[list[float]]) -> None:
+        self._mean_squares[:] = state
 
     def _pack(self, gradients: list[Tensor | None], betas: tuple[float, float]) -> None:
         self._gradients = gradients
@@ -170,6 +184,12 @@ class _OnCuda:
         with torch_stream(clock.device):
             wp.launch(adam_cuda.tick, 1, [in_clock, *betas], device=device, record_tape=False)
             wp.launch(adam_cuda.adam, count, inputs, device=device, record_tape=False)
+
+    def state(self) -> list[list[float]]:
+        return []  # it finds out anew at every step
+
+    def load_state(self, state: list[list[float]]) -> None:
+        pass
 
 
 def _fill(struct: Any, group: Group) -> Any:

@@ -1,8 +1,9 @@
 """Trainable parameters: the one place, with the codecs, that knows logs and logits."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 import torch
@@ -109,6 +110,23 @@ class SplatParameters:
         for name, part in zip(NAMES, flat.split(sizes), strict=True):
             self._raw[name].copy_(part.view_as(self._raw[name]))
         self._place(self._splats, self._begin)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that further steps depend on."""
+        return {"raw": self._raw, "moments": self._moments, "clock": self._clock, "adam": self._adam.state()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Be what `state_dict` gave, however many Gaussians that are; those of `Together` stay as many."""
+        if len(state["raw"]["opacities"]) != len(self):
+            self._install(dict(state["raw"]), dict(state["moments"]))
+        for name in self._raw:
+            self._raw[name].copy_(state["raw"][name])
+        for name in NAMES:
+            for moment, saved in zip(self._moments[name], state["moments"][name], strict=True):
+                moment.copy_(saved)
+        self._clock.copy_(state["clock"])
+        self._place(self._splats, self._begin)
+        self._adam.load_state(state["adam"])
 
     def _follow(self, gradients: dict[str, Tensor], factor: float | Tensor) -> None:
         """Step along the gradients by these Gaussians."""

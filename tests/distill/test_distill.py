@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from dwgs.distill import DistillConfig, distill
-from dwgs.optimize import Evaluated, Step
+from dwgs.optimize import Checkpoint, Evaluated, Step
 from dwgs.scene import Gaussians, InputError, LidarSweep, Scene, Trajectory
 from dwgs.scene.pose import pose
 
 QUICK = DistillConfig(steps=12, gaussians=400, shadow_margin=0.3, threads=1)
 
 
-def run(scene, background, insertion, config=QUICK):
-    events, loop = [], distill(scene, background, insertion, config)
+def run(scene, background, insertion, config=QUICK, checkpoint=None):
+    events, loop = [], distill(scene, background, insertion, config, checkpoint)
     while True:
         try:
             events.append(next(loop))
@@ -49,6 +49,37 @@ def test_the_same_input_gives_the_same_bytes(toy, quick):
 def test_the_number_of_threads_changes_no_byte(toy, quick):
     _, asset, _ = run(toy.scene(), toy.background, toy.insertion, replace(QUICK, threads=2))
     assert same(asset.gaussians, quick[1].gaussians)
+
+
+@pytest.mark.parametrize("is_generated", [True, False])
+def test_an_interrupted_fit_goes_on_to_the_same_bytes(toy, tmp_path, monkeypatch, is_generated):
+    monkeypatch.setattr("dwgs.optimize.checkpoint.EVERY", 0)
+    config = replace(QUICK, steps=40)
+    inputs = toy.scene(is_generated=is_generated), toy.background, toy.insertion, config
+    _, asset, _ = run(*inputs)
+    for stop in (5, 31, 39):
+        interrupted = distill(*inputs, Checkpoint(tmp_path / "half.pt", "key"))
+        while getattr(next(interrupted), "step", 0) != stop:
+            pass
+        interrupted.close()
+    events, again, _ = run(*inputs, Checkpoint(tmp_path / "half.pt", "key"))
+    assert [event.step for event in events if isinstance(event, Step)] == [40]
+    assert same(again.gaussians, asset.gaussians)
+
+
+def test_a_trajectory_that_trembles_is_put_right(toy):
+    random = np.random.default_rng(0)
+    poses = toy.insertion.trajectory.world_from_vehicle.copy()
+    poses[:, :3, 3] += random.normal(0, 0.05, (len(poses), 3))
+    trembling = replace(toy.insertion, trajectory=Trajectory(toy.insertion.trajectory.times, poses))
+    config = DistillConfig(steps=200, gaussians=1500, shadow_margin=0.3, threads=1)
+    _, _, report = run(toy.scene(), toy.background, trembling, config)
+    assert report["psnr_roi_heldout"] > 33
+    assert 0.04 < report["pose_correction_rms_m"] < 0.12
+
+
+def test_a_smooth_trajectory_is_left_alone(quick):
+    assert not any(key.startswith("pose") for key in quick[2])
 
 
 def test_the_background_is_left_alone(toy):

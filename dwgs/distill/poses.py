@@ -1,0 +1,191 @@
+"""Where the vehicle really stands in every frame: small corrections that the images ask for and a vehicle could drive.
+
+Annotated boxes are off by centimetres, and so are trajectories that people or networks made up. Each frame says where
+the vehicle should go: by the gradient of its loss, and by how much its picture changes as the vehicle moves (Gauss-
+Newton, Lucas and Kanade 1981). All frames are settled together, because a vehicle has mass: its path has little jerk.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial.transform import Rotation
+
+from dwgs.distill.shots import Shot, Sight
+from dwgs.scene.pose import inverse, pose
+from dwgs.splat import Splats, render
+
+JERK = np.repeat((0.5, 2.0), 3)
+"""What a vehicle does [rad/s^3, m/s^3]."""
+LEAST_SLACK = np.repeat((1e-3, 5e-3), 3)
+"""How far [rad, m] even a smooth path may be off that someone made up."""
+ANNOTATED_SLACK = np.repeat((0.02, 0.05), 3)
+"""The same of boxes that were drawn around what a LiDAR saw."""
+ROUGH = np.repeat((1e-3, 5e-3), 3)
+"""Noise of a path [rad, m] above which no vehicle drives it."""
+COHERENCE = 1e4
+"""Pixels that err together: a model that is not done yet is wrong in large patches."""
+MOST = np.repeat((0.05, 0.2), 3)
+"""How far [rad, m] a pose may be corrected about or along each axis: the layers of the background allow for more."""
+LONG = 0.5
+"""Seconds between frames over which nothing is known of a path."""
+REFRESH = 4
+"""Looks at a sight after which it is found out anew how its picture depends on the pose."""
+UNDERRATED = 2
+"""Differences between neighbours halve the square of what changes from pixel to pixel."""
+FAINT = 0.02
+"""Vehicle's alpha below which a pixel tells nothing about its pose."""
+
+_STATE = ("_world_from_vehicle", "_information", "_pull", "_sensitivity", "_looks")
+
+
+class BoxPoses:
+    """Corrected poses of the vehicle, one per sight, about the box centre and along the axes of the world.
+
+    Args:
+        sights: Frames that show it, camera by camera, in order of time.
+        robust: Whether losses are absolute errors, as if they were Laplace's, or squared ones, Gauss's.
+    """
+
+    def __init__(self, sights: Sequence[Sight], robust: bool) -> None:
+        self._robust = robust
+        self._nominal = np.array([sight.world_from_vehicle for sight in sights])
+        self._world_from_camera = np.array([sight.camera.world_from_camera for sight in sights])
+        self._world_from_vehicle = self._nominal.copy()
+        self._jerk_from_path = _third_derivative(sights)
+        self._slack = np.maximum(self.noise(), ANNOTATED_SLACK if robust else LEAST_SLACK)
+        self._looks = np.zeros(len(sights), int)
+        self._sensitivity, self._information = np.zeros((2, len(sights), 6, 6))
+        self._pull = np.zeros((len(sights), 6))
+
+    def noise(self) -> NDArray[np.float64]:
+        """[6] how much the path trembles about and along each axis [rad, m]: the sigma of white noise that does it."""
+        rows = np.sqrt(self._jerk_from_path.multiply(self._jerk_from_path).sum(1))
+        if not len(rows):
+            return np.zeros(6)
+        return np.median(np.abs(self._jerk_from_path @ self._path()) / rows.reshape(-1, 1), 0) / 0.6745
+
+    def is_rough(self) -> bool:
+        """Whether no vehicle drives like that."""
+        return bool((self.noise() > ROUGH).any())
+
+    def old_from_new(self, i: int) -> NDArray[np.float64]:
+        """[4, 4] the correction of a sight: ``world_from_new = world_from_old @ old_from_new``."""
+        return inverse(self._nominal[i]) @ self._world_from_vehicle[i]
+
+    def corrections(self) -> NDArray[np.float64]:
+        """[sights, 6] rotation vectors [rad] and shifts [m] in the world."""
+        turned = self._world_from_vehicle[:, :3, :3] @ np.swapaxes(self._nominal[:, :3, :3], 1, 2)
+        shifts = self._world_from_vehicle[:, :3, 3] - self._nominal[:, :3, 3]
+        return np.hstack([Rotation.from_matrix(turned).as_rotvec(), shifts])
+
+    def report(self) -> dict[str, float]:
+        """JSON values: how far poses were corrected."""
+        squares = self.corrections().reshape(-1, 2, 3) ** 2
+        turns, shifts = np.sqrt(squares.sum(-1)).T
+        return {
+            "pose_correction_rms_m": round(float(np.sqrt((shifts**2).mean())), 4),
+            "pose_correction_most_m": round(float(shifts.max()), 4),
+            "pose_correction_rms_deg": round(float(np.degrees(np.sqrt((turns**2).mean()))), 3),
+            "pose_correction_most_deg": round(float(np.degrees(turns.max())), 3),
+        }
+
+    def observe(self, i: int, shot: Shot, vehicle: Splats, loss: float, v_viewmat: NDArray[np.float64]) -> None:
+        """Take in what the picture of a sight says.
+
+        Args:
+            i: Which.
+            shot: The same, ready for the loop.
+            vehicle: As it is now.
+            loss: Mean error of the picture, squared or (if robust) absolute.
+            v_viewmat: [4, 4] gradient of the loss by ``camera_from_vehicle``.
+        """
+        if self._looks[i] % REFRESH == 0:
+            self._sensitivity[i] = sensitivity(shot, vehicle, self._world_from_vehicle[i])
+        self._looks[i] += 1
+        numbers = 3 * float(shot.weight.sum())
+        # minus the logarithm of the likelihood, per loss, and its second derivative by the numbers of the picture
+        share, curvature = (1 / loss, 1 / loss**2) if self._robust else (1 / (2 * loss), 1 / loss)
+        from_camera = self._world_from_camera[i, :3, :3]
+        turning = from_camera @ v_viewmat[:3, :3] @ self._world_from_vehicle[i, :3, :3].T
+        torque = turning[[2, 0, 1], [1, 2, 0]] - turning[[1, 2, 0], [2, 0, 1]]
+        self._information[i] = self._sensitivity[i] * curvature / COHERENCE
+        self._pull[i] = np.hstack([torque, from_camera @ v_viewmat[:3, 3]]) * numbers * share / COHERENCE
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Everything that further corrections depend on."""
+        return {name: torch.from_numpy(getattr(self, name)) for name in _STATE}
+
+    def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Be what `state_dict` gave."""
+        for name in _STATE:
+            setattr(self, name, state[name].numpy())
+
+    def settle(self) -> None:
+        """Move every pose to where all that was observed, a smooth path, and small corrections agree best."""
+        count, corrections = len(self._nominal), self.corrections()
+        smooth = self._jerk_from_path.T @ self._jerk_from_path
+        matrix = sparse.block_diag(list(self._information + np.diag(self._slack**-2))) + sparse.kron(
+            smooth, np.diag(JERK**-2)
+        )
+        pull = self._pull + (smooth @ self._path()) * JERK**-2 + corrections * self._slack**-2
+        moves = -sparse.linalg.spsolve(matrix.tocsc(), pull.reshape(-1)).reshape(count, 6)
+        moves = np.clip(corrections + moves, -MOST, MOST) - corrections
+        turned = Rotation.from_rotvec(moves[:, :3]).as_matrix() @ self._world_from_vehicle[:, :3, :3]
+        self._world_from_vehicle = pose(turned, self._world_from_vehicle[:, :3, 3] + moves[:, 3:])
+        self._pull += np.einsum("nij,nj->ni", self._information, moves)
+
+    def _path(self) -> NDArray[np.float64]:
+        """[sights, 6] angles [rad] turned since the first sight and places [m]."""
+        rotations = Rotation.from_matrix(self._world_from_vehicle[:, :3, :3])
+        turns = (rotations[1:] * rotations[:-1].inv()).as_rotvec()
+        angles = np.vstack([np.zeros(3), np.cumsum(turns.reshape(-1, 3), 0)])
+        return np.hstack([angles, self._world_from_vehicle[:, :3, 3]])
+
+
+def _third_derivative(sights: Sequence[Sight]) -> sparse.csr_array:
+    """[runs of four sights of one camera, sights] by divided differences in time [1/s^3]."""
+    times = np.array([sight.frame.camera.time for sight in sights])
+    cameras = [sight.frame.camera_name for sight in sights]
+    rows = []
+    for k in range(len(sights) - 3):
+        t = times[k : k + 4]
+        if len(set(cameras[k : k + 4])) == 1 and np.diff(t).max() < LONG:
+            apart = t[:, None] - t + np.eye(4)
+            rows.append((k, 6 / apart.prod(1)))
+    values = [weight for _, weights in rows for weight in weights]
+    places = np.repeat(np.arange(len(rows)), 4), [k + j for k, _ in rows for j in range(4)]
+    return sparse.csr_array((values, places), shape=(len(rows), len(sights)))
+
+
+def sensitivity(shot: Shot, vehicle: Splats, world_from_vehicle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[6, 6] how strongly the picture depends on the pose: sums over pixels and colours of products of derivatives.
+
+    A pixel of the vehicle moves as its point at that depth does, and takes along what the image changes there, the
+    background apart, which stays.
+    """
+    camera = shot.sight.camera
+    camera_from_vehicle = camera.camera_from_world @ world_from_vehicle
+    view = shot.view_at(inverse(shot.sight.world_from_vehicle) @ world_from_vehicle)
+    with torch.no_grad():
+        alone = render(vehicle, view, threads=2)
+    back = shot.frozen.layers.back_rgb
+    slopes = [torch.gradient(image, dim=(0, 1)) for image in (alone.rgb, alone.alpha)]
+    by_y, by_x = ((of_rgb - back * of_alpha[..., None]).numpy() for of_rgb, of_alpha in zip(*slopes, strict=True))
+    seen = ((alone.alpha > FAINT) & (shot.weight > 0)).numpy()
+    depth = alone.expected_depth.numpy()[seen].astype(np.float64)
+    fx, fy, cx, cy = view.intrinsics
+    rows, columns = np.nonzero(seen)
+    x, y, one, zero = (columns + 0.5 - cx) / fx, (rows + 0.5 - cy) / fy, np.ones(len(depth)), np.zeros(len(depth))
+    camera_from_world = camera.camera_from_world[:3, :3]
+    arm = (np.stack([x, y, one], 1) * depth[:, None] - camera_from_vehicle[:3, 3]) @ camera_from_world
+    across = (fx / depth)[:, None] * np.stack([one, zero, -x], 1) @ camera_from_world
+    down = (fy / depth)[:, None] * np.stack([zero, one, -y], 1) @ camera_from_world
+    flow_x, flow_y = (np.hstack([np.cross(arm, flow), flow]) for flow in (across, down))  # [P, 6] pixels by pose
+    total = np.zeros((6, 6))
+    for c in range(3):
+        derivative = by_x[seen, c, None] * flow_x + by_y[seen, c, None] * flow_y
+        total += derivative.T @ derivative
+    return UNDERRATED * total

@@ -1,0 +1,90 @@
+"""Poses are settled between what the images ask for and what a vehicle can drive."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dwgs.distill.poses import MOST, BoxPoses
+from dwgs.scene.pose import pose, yaw_rotation
+
+
+def sights_along(world_from_vehicle, times):
+    camera = SimpleNamespace(world_from_camera=np.eye(4))
+    frames = [SimpleNamespace(camera=SimpleNamespace(time=t), camera_name="front") for t in times]
+    return [
+        SimpleNamespace(world_from_vehicle=p, camera=camera, frame=frame)
+        for p, frame in zip(world_from_vehicle, frames, strict=True)
+    ]
+
+
+def curve(count):
+    """A smooth drive, and its times."""
+    t = np.arange(count) / 10
+    return pose(yaw_rotation(0.1 * t), np.stack([8 * t, 0.3 * t**2, 0 * t], 1)), t
+
+
+def off(poses, smooth):
+    """Root mean square of angles [rad] and places [m]."""
+    turned = poses[:, :3, :3] @ np.swapaxes(smooth[:, :3, :3], 1, 2)
+    angles = Rotation.from_matrix(turned).as_rotvec()
+    return np.sqrt((angles**2).mean()), np.sqrt(((poses - smooth)[:, :3, 3] ** 2).mean())
+
+
+@pytest.fixture
+def trembling():
+    smooth, times = curve(80)
+    random = np.random.default_rng(1)
+    noise = pose(
+        Rotation.from_rotvec(random.normal(0, np.radians(0.5), (80, 3))).as_matrix(), random.normal(0, 0.05, (80, 3))
+    )
+    return smooth, smooth @ noise, times
+
+
+def test_a_drive_is_smooth_and_noise_on_it_is_measured(trembling):
+    smooth, noisy, times = trembling
+    assert not BoxPoses(sights_along(smooth, times), False).is_rough()
+    poses = BoxPoses(sights_along(noisy, times), False)
+    assert poses.is_rough()
+    np.testing.assert_allclose(poses.noise(), np.repeat((np.radians(0.5), 0.05), 3), rtol=0.5)
+
+
+def test_before_anything_is_seen_poses_settle_on_a_smooth_path(trembling):
+    smooth, noisy, times = trembling
+    poses = BoxPoses(sights_along(noisy, times), False)
+    poses.settle()
+    settled = np.array([noisy[i] @ poses.old_from_new(i) for i in range(80)])
+    for before, after in zip(off(noisy, smooth), off(settled, smooth), strict=True):
+        assert after < 0.5 * before
+
+
+def test_a_smooth_path_settles_where_it_is():
+    smooth, times = curve(40)
+    poses = BoxPoses(sights_along(smooth, times), False)
+    poses.settle()
+    assert np.abs(poses.corrections()).max() < 2e-3
+
+
+def test_no_correction_leaves_the_room_that_the_layers_have():
+    smooth, times = curve(40)
+    smooth[::2, :3, 3] += 3.0
+    poses = BoxPoses(sights_along(smooth, times), False)
+    poses.settle()
+    assert (np.abs(poses.corrections()) <= MOST + 1e-9).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_few_frames_have_no_jerk(count):
+    smooth, times = curve(count)
+    poses = BoxPoses(sights_along(smooth, times), True)
+    assert not poses.is_rough()
+    poses.settle()
+    np.testing.assert_allclose(poses.corrections(), 0, atol=1e-12)
+
+
+def test_frames_of_two_cameras_and_gaps_are_not_compared():
+    smooth, times = curve(8)
+    smooth[4:, :3, 3] += 5.0
+    times[4:] += 3.0
+    assert not BoxPoses(sights_along(smooth, times), False).is_rough()
