@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:
         fail(system_sentence(error))
     except KeyboardInterrupt:
-        print("dwgs: interrupted; finished stages are kept", file=sys.stderr)
+        print("dwgs: interrupted; finished stages are kept, and the same command goes on from here", file=sys.stderr)
         sys.exit(130)
 
 

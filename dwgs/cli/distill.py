@@ -9,7 +9,7 @@ import tyro
 from dwgs.cli.options import ClipOptions
 from dwgs.cli.progress import Bar, decibels, say
 from dwgs.cli.reconstruct import clip_key
-from dwgs.cli.stage import StageRecord, fingerprint, run_stage
+from dwgs.cli.stage import StageRecord, fingerprint, run_stage, stage_key
 from dwgs.scene import InputError, Insertion, Scene
 
 if TYPE_CHECKING:
@@ -96,16 +96,22 @@ def insertion_of_track(scene: Scene, id: str) -> Insertion:
 def distill_stage(
     scene: Scene, background, insertion: Insertion, source: dict, folder: Path, config: "DistillConfig"
 ) -> StageRecord:
-    """Fit the asset of ``insertion`` into ``folder``."""
+    """Fit the asset of ``insertion`` into ``folder``; what was killed meanwhile goes on."""
     from dwgs.distill import distill
+    from dwgs.optimize import Checkpoint
+
+    inputs = {"source": source, "config": asdict(config)}
+    checkpoint = Checkpoint(folder.with_name(f".{folder.name}.checkpoint"), stage_key("distill", inputs))
 
     def make(draft: Path, progress: Bar) -> dict:
         from dwgs.formats import asset_folder
         from dwgs.scene.trajectory_file import write_trajectory
 
-        asset, report = progress.follow(distill(scene, background, insertion, config))
+        asset, report = progress.follow(distill(scene, background, insertion, config, checkpoint))
         asset_folder.write(asset, draft)
         write_trajectory(insertion.trajectory, draft / TRAJECTORY_FILE)
         return report
 
-    return run_stage(folder, "distill", {"source": source, "config": asdict(config)}, make)
+    record = run_stage(folder, "distill", inputs, make)
+    checkpoint.remove()
+    return record
