@@ -40,7 +40,7 @@ def run(frames: int) -> list[Metric]:
         asset, report = follow(distill(scene, exact, insertion, DistillConfig()), progress, "distill")
         background, fit = follow(reconstruct(street.scene(), ReconstructConfig()), progress, "reconstruct")
         _, fitted = follow(distill(scene, background, insertion, DistillConfig()), progress, "distill before it")
-    seen, unseen = orbit_psnr(street, asset, np.asarray(report["azimuths"]))
+    seen, unseen = orbit_psnr(street, asset, np.array([sector["share"] for sector in report["sectors"]]))
     return [
         Metric("oracle.distill.psnr_roi_heldout", report["psnr_roi_heldout"], "dB"),
         Metric("oracle.distill.ssim_roi_heldout", report["ssim_roi_heldout"], ""),

@@ -46,9 +46,11 @@ def write_page(out: Path, report: dict[str, Any], recorded: Scene, edited: Scene
         before=before,
         after=after,
         orbit=orbit,
-        sides=sides(distill["azimuths"]),
-        sides_note="How much of the video shows the vehicle from each side, seen from above, front up. "
-        "Sides without a wedge were never seen: what the asset shows there comes from its points.",
+        sides=sides(distill["sectors"]),
+        sides_note="How much of the video shows the vehicle from each side, seen from above, front up, and how good "
+        "the asset is from there on held-out frames. Sides without a wedge were never seen: what the asset shows there "
+        f"comes from its points, as do {distill['gaussians_unseen']:,} Gaussians of its body that no frame saw.",
+        asset=asset_rows(distill),
         stills="".join(stills(recorded, edited, graph)),
         curves=curves({"vehicle (ROI)": distill["frames"], "background": reconstruct["frames"]}),
         stages="".join(stage_rows(report["stages"])),
@@ -91,22 +93,44 @@ def picture(pixels: np.ndarray, caption: str) -> str:
     return f'<figure><img src="{url}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
 
 
-def sides(azimuths: Sequence[float]) -> str:
+def sides(sectors: Sequence[dict[str, Any]]) -> str:
     """A rose of how much each side was seen; sector 0 is centred on the front, sectors turn to the left."""
-    count, most = len(azimuths), max(*azimuths, 1e-9)
-    wedges = []
-    for i, seen in enumerate(azimuths):
-        radius = 90 * math.sqrt(seen / most)
-        angles = [2 * math.pi * (i + offset) / count for offset in (-0.5, 0.5)]
-        (x0, y0), (x1, y1) = ((-radius * math.sin(a), -radius * math.cos(a)) for a in angles)
-        wedges.append(f'<path d="M0 0L{x0:.1f} {y0:.1f}A{radius:.1f} {radius:.1f} 0 0 0 {x1:.1f} {y1:.1f}Z"/>')
+    count, most = len(sectors), max(*(sector["share"] for sector in sectors), 1e-9)
+    wedges, labels = [], []
+    for i, sector in enumerate(sectors):
+        radius = 90 * math.sqrt(sector["share"] / most)
+        angles = [2 * math.pi * (i + offset) / count for offset in (-0.5, 0, 0.5)]
+        (x0, y0), (x, y), (x1, y1) = ((-math.sin(a), -math.cos(a)) for a in angles)
+        if sector["frames"]:
+            begin, end = (f"{radius * u:.1f} {radius * v:.1f}" for u, v in ((x0, y0), (x1, y1)))
+            arc = f"M0 0L{begin}A{radius:.1f} {radius:.1f} 0 0 0 {end}Z"
+            (low, high), (near, far) = sector["elevation_deg"], sector["distance_m"]
+            note = f"{sector['frames']} frames, {low:g} to {high:g} degrees above it, {near:g} to {far:g} m away"
+            wedges.append(f'<path d="{arc}"><title>{note}</title></path>')
+        if sector["psnr_roi_heldout"] is not None:
+            text = f"{sector['psnr_roi_heldout']:.1f} dB"
+            labels.append(f'<text x="{118 * x:.1f}" y="{112 * y + 4:.1f}" text-anchor="middle">{text}</text>')
     return (
-        '<svg viewBox="-110 -110 220 220" width="260" role="img" aria-label="sides seen">'
+        '<svg viewBox="-150 -130 300 260" width="320" role="img" aria-label="sides seen">'
         '<circle r="90" fill="none" stroke="#dfe3e7"/><circle r="45" fill="none" stroke="#dfe3e7"/>'
-        f'<g fill="#c2410c" fill-opacity=".55" stroke="#c2410c">{"".join(wedges)}</g>'
-        '<rect x="-9" y="-21" width="18" height="42" rx="5" fill="#fff" stroke="#1c2126"/>'
-        '<text y="-96" text-anchor="middle">front</text><text y="106" text-anchor="middle">rear</text></svg>'
+        f'<g fill="#c2410c" fill-opacity=".55" stroke="#c2410c">{"".join(wedges)}</g>{"".join(labels)}'
+        '<rect x="-9" y="-21" width="18" height="42" rx="5" fill="#fff" stroke="#1c2126"/></svg>'
     )
+
+
+def asset_rows(distill: dict[str, Any]) -> str:
+    """Rows of the table of what a user of the asset must know."""
+    box, solid = (" x ".join(f"{side:.2f}" for side in distill[key]) for key in ("size", "extent"))
+    rows = [
+        ("box, length x width x height", f"{box} m"),
+        ("what is solid fills", f"{solid} m"),
+        ("frames that taught it", f"{distill['frames_taught']}"),
+        ("pixels, held-out, on the vehicle itself", decibels(distill["psnr_object_heldout"])),
+    ]
+    if "pose_correction_rms_m" in distill:
+        turn, shift = distill["pose_correction_rms_deg"], distill["pose_correction_rms_m"]
+        rows.append(("poses were corrected by (root mean square)", f"{100 * shift:.1f} cm, {turn:.2f} degrees"))
+    return "".join(f"<tr><td>{name}</td><td>{value}</td></tr>" for name, value in rows)
 
 
 def curves(series: dict[str, Sequence[dict[str, Any]]]) -> str:

@@ -28,6 +28,18 @@ class DistillConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PathPrior:
+    """What is known of where a vehicle drives before its pictures are seen; angles first, then places."""
+
+    jerk: tuple[float, float]
+    """Third derivative of its path, as a vehicle has it [rad/s^3, m/s^3]."""
+    slack: tuple[float, float]
+    """How far it may be off [rad, m], however smooth it is."""
+    coherence: float
+    """How many pixels err together, and count as one: a model that is not done yet is wrong in large patches."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Recipe:
     """Settings that depend on what made the pixels."""
 
@@ -39,8 +51,10 @@ class Recipe:
     """Factor on the rates at the end."""
     robust: bool
     """L1 with D-SSIM, which forgive what no rigid car explains; else squared error, views equally heavy."""
+    path: PathPrior
     refines_poses: bool
-    """Whether boxes were annotated and may be off by centimetres; a generated vehicle is where it was put."""
+    """Whether boxes were annotated and may be off by centimetres; a generated vehicle is where it was put, unless its
+    path trembles."""
     visible: float
     """Frames that show a smaller part of the vehicle's points are left out."""
 
@@ -65,6 +79,7 @@ GENERATED = Recipe(
     hold=0.75,
     final=0.05,
     robust=False,
+    path=PathPrior(jerk=(0.5, 2.0), slack=(1e-3, 5e-3), coherence=1e4),
     refines_poses=False,
     visible=0.0,
 )
@@ -85,6 +100,7 @@ RECORDED = Recipe(
     hold=0.0,
     final=0.05,
     robust=True,
+    path=PathPrior(jerk=(2.0, 8.0), slack=(0.02, 0.1), coherence=1e3),
     refines_poses=True,
     visible=0.3,
 )

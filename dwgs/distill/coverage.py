@@ -14,6 +14,12 @@ SIDES = {"front": (0, 1), "rear": (0, -1), "left": (1, 1), "right": (1, -1), "to
 _SAMPLES = 12
 
 
+def sector_of(vehicle_from_camera: NDArray[np.float64]) -> int:
+    """The sector that a camera [4, 4] looks from."""
+    x, y, _ = vehicle_from_camera[:3, 3]
+    return round(np.arctan2(y, x) / (2 * np.pi) * SECTORS) % SECTORS
+
+
 class Coverage:
     """Adds up what each frame shows of the vehicle."""
 
@@ -23,23 +29,36 @@ class Coverage:
         """[SECTORS] pixels of the box, by the direction it was seen from."""
         self.side_pixels = dict.fromkeys(SIDES, 0.0)
         """Pixels of each side of the box, over all frames."""
+        self._looks: list[list[tuple[float, float]]] = [[] for _ in range(SECTORS)]
+        """Of each sector, elevations [rad] and distances [m] of its frames."""
 
     def add(self, camera: Camera, world_from_vehicle: NDArray[np.float64], shown: NDArray[np.bool_]) -> None:
         """Count a frame; only pixels where ``shown`` [H, W] is True count."""
         vehicle_from_camera = inverse(world_from_vehicle) @ camera.world_from_camera
-        azimuth = np.arctan2(vehicle_from_camera[1, 3], vehicle_from_camera[0, 3])
-        sector = round(azimuth / (2 * np.pi) * SECTORS) % SECTORS
+        sector = sector_of(vehicle_from_camera)
+        x, y, z = vehicle_from_camera[:3, 3]
+        self._looks[sector].append((np.arctan2(z, np.hypot(x, y)), np.sqrt(x * x + y * y + z * z)))
         for side, (axis, sign) in SIDES.items():
             pixels = self._pixels_of(axis, sign, camera, vehicle_from_camera, shown)
             self.side_pixels[side] += pixels
             self.sector_pixels[sector] += pixels
 
     def report(self) -> dict:
-        """JSON values: share of the pixels by sector of azimuth, and pixels by side of the box."""
-        total = max(self.sector_pixels.sum(), 1.0)
+        """JSON values: what was seen by sector of azimuth, and pixels by side of the box."""
         return {
-            "azimuths": [round(float(p / total), 4) for p in self.sector_pixels],
+            "sectors": [self._sector(k) for k in range(SECTORS)],
             "side_pixels": {side: round(pixels) for side, pixels in self.side_pixels.items()},
+        }
+
+    def _sector(self, k: int) -> dict:
+        looks = np.array(self._looks[k]).reshape(-1, 2)
+        elevations, distances = np.degrees(looks[:, 0]), looks[:, 1]
+        return {
+            "azimuth_deg": 360 * k // SECTORS,
+            "share": round(float(self.sector_pixels[k] / max(self.sector_pixels.sum(), 1.0)), 4),
+            "frames": len(looks),
+            "elevation_deg": [round(float(f(elevations)), 1) for f in (np.min, np.max)] if len(looks) else None,
+            "distance_m": [round(float(f(distances)), 1) for f in (np.min, np.max)] if len(looks) else None,
         }
 
     def _pixels_of(self, axis, sign, camera, vehicle_from_camera, shown) -> float:

@@ -7,8 +7,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from dwgs.distill.coverage import sector_of
 from dwgs.distill.shots import Shot
 from dwgs.metrics import psnr, ssim
+from dwgs.scene.pose import inverse
 from dwgs.splat import Splats, View, render
 
 OBJECT_ALPHA = 0.5
@@ -22,6 +24,8 @@ class Score:
     camera_name: str
     index: int
     held_out: bool
+    sector: int
+    """It was seen from, see `coverage`."""
     psnr_roi: float
     """[dB] over the supervised pixels."""
     ssim_roi: float
@@ -42,10 +46,23 @@ def score(shot: Shot, view: View, body: Splats, shadow: Splats, threads: int) ->
         frame.camera_name,
         frame.index,
         shot.sight.held_out,
+        sector_of(inverse(shot.sight.world_from_vehicle) @ shot.sight.camera.world_from_camera),
         psnr(image, target, supervised),
         ssim(image, target, supervised),
         psnr(image, target, supervised & (alpha.numpy() > OBJECT_ALPHA)),
     ), image
+
+
+def of_sectors(scores: Sequence[Score], sectors: Sequence[dict]) -> list[dict]:
+    """The entries of the sectors, with the means over the held-out frames that look from there; None over no frame."""
+
+    def mean(of: str, sector: int) -> float | None:
+        values = [getattr(s, of) for s in scores if s.held_out and s.sector == sector]
+        return round(float(np.mean(values)), 4) if values else None
+
+    return [
+        entry | {f"{of}_heldout": mean(of, k) for of in ("psnr_roi", "ssim_roi")} for k, entry in enumerate(sectors)
+    ]
 
 
 def summary(scores: Sequence[Score]) -> dict:

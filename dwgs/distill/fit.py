@@ -6,16 +6,18 @@ from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from functools import partial
+from importlib.metadata import version
 
 import numpy as np
 
 from dwgs.distill.config import GENERATED, RECORDED, DistillConfig
 from dwgs.distill.coverage import Coverage
-from dwgs.distill.evaluate import score, summary
+from dwgs.distill.evaluate import Score, of_sectors, score, summary
 from dwgs.distill.initialize import initialize_body
 from dwgs.distill.layers import Frozen, FrozenBackground
 from dwgs.distill.learner import Learner
 from dwgs.distill.model import Vehicle
+from dwgs.distill.observe import observations
 from dwgs.distill.poses import BoxPoses
 from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
@@ -29,10 +31,13 @@ from dwgs.optimize import (
     view_order,
 )
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, VehicleAsset
-from dwgs.splat import Splats
+from dwgs.splat import Splats, View
 
 PREPARING = 0.3
 """Share of the time that is left once the frames are chosen, if time is given, in which they are prepared."""
+
+SOLID = 0.5
+"""Opacity of a Gaussian that counts for the vehicle's extent."""
 
 
 def distill(
@@ -69,7 +74,7 @@ def distill(
         shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
     vehicle = Vehicle(body.result(), shadow, insertion.size, recipe)
     yield Grown(0, len(vehicle))
-    poses: BoxPoses | None = BoxPoses(sights, recipe.robust)
+    poses: BoxPoses | None = BoxPoses(sights, recipe)
     if not (recipe.refines_poses or poses.is_rough()):
         poses = None
 
@@ -109,16 +114,21 @@ def distill(
     taught = [sights[i] for i in shots]
     judged = [i for i, sight in enumerate(sights) if sight.held_out]
     shots |= dict(zip(judged, (yield from prepare([sights[i] for i in judged])), strict=True))
-    report = _evaluate(dict(sorted(shots.items())), body, shadow, poses, config.threads)
-    yield Evaluated(steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
-    report |= _coverage(taught, insertion)
     corrected = {} if poses is None else poses.report()
-    report |= corrected
+    views = {i: s.view if poses is None else s.view_at(poses.old_from_new(i)) for i, s in shots.items()}
+    seen = observations([(shots[i], views[i]) for i in learnt if i in views], body, shadow, config.threads)
+    everything = sorted(shots)
+    scores = _scores([(shots[i], views[i]) for i in everything], body, shadow, config.threads)
+    report = summary(scores) | _coverage(taught, insertion, scores) | corrected
+    yield Evaluated(steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
     report |= {
         "kind": "generated" if is_generated else "recorded",
         "gaussians": len(body) + len(shadow),
         "gaussians_body": len(body),
         "gaussians_shadow": len(shadow),
+        "gaussians_unseen": int((seen == 0).sum()),
+        "size": [float(side) for side in insertion.size],
+        "extent": extent(body),
         "steps": steps,
         "frames_taught": len(taught),
         "seconds": {
@@ -128,26 +138,34 @@ def distill(
         },
         "background_unchanged": frozen.fingerprint() == before,
     }
-    provenance = {"scene": scene.name, "config": asdict(config), "background": before}
-    quality = {key: report[key] for key in ("psnr_roi_heldout", "ssim_roi_heldout", "psnr_object_heldout")}
-    quality |= {key: report[key] for key in ("azimuths", "side_pixels")} | corrected
-    asset = VehicleAsset(body, shadow, np.asarray(insertion.size), insertion.category, provenance, quality)
-    return asset, report
+    told = ("psnr_roi_heldout", "ssim_roi_heldout", "psnr_object_heldout", "sectors", "side_pixels")
+    quality = {key: report[key] for key in (*told, "gaussians_unseen", "extent", "frames_taught")} | corrected
+    provenance = {"scene": scene.name, "kind": report["kind"], "dwgs": version("dwgs"), "config": asdict(config)}
+    provenance |= {"steps": steps, "seconds": report["seconds"], "background": before}
+    size = np.asarray(insertion.size)
+    return VehicleAsset(body, shadow, size, insertion.category, provenance, quality, seen), report
 
 
-def _evaluate(shots: dict[int, Shot], body: Gaussians, shadow: Gaussians, poses: BoxPoses | None, threads: int) -> dict:
-    """Scores of every frame, held-out and learnt."""
+def _scores(shots: list[tuple[Shot, View]], body: Gaussians, shadow: Gaussians, threads: int) -> list[Score]:
+    """Of every frame, held-out and learnt."""
     splats = Splats.from_gaussians(body), Splats.from_gaussians(shadow)
-    views = [s.view if poses is None else s.view_at(poses.old_from_new(i)) for i, s in shots.items()]
     with ThreadPoolExecutor(threads) as pool:  # a frame for each thread
-        scores = pool.map(lambda shot, view: score(shot, view, *splats, threads=1)[0], shots.values(), views)
-        return summary(list(scores))
+        return list(pool.map(lambda shot: score(shot[0], shot[1], *splats, threads=1)[0], shots))
 
 
-def _coverage(taught: list[Sight], insertion: Insertion) -> dict:
-    """From where the frames that taught the vehicle saw it."""
+def extent(body: Gaussians) -> list[float]:
+    """Length, width and height [m] that hold all but a hundredth of what is solid: to be held against the box."""
+    solid = body.means[body.opacities > SOLID]
+    if not len(solid):
+        return [0.0, 0.0, 0.0]
+    return [round(float(side), 3) for side in np.subtract(*np.quantile(solid, [0.995, 0.005], axis=0))]
+
+
+def _coverage(taught: list[Sight], insertion: Insertion, scores: list[Score]) -> dict:
+    """From where the frames that taught the vehicle saw it, and how good it is from there."""
     coverage = Coverage(insertion.size)
     for sight in taught:
         camera = sight.region.window.camera(sight.camera)
         coverage.add(camera, sight.world_from_vehicle, sight.region.supervised)
-    return coverage.report()
+    report = coverage.report()
+    return report | {"sectors": of_sectors(scores, report["sectors"])}

@@ -13,20 +13,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
+from dwgs.distill.config import Recipe
 from dwgs.distill.shots import Shot, Sight
 from dwgs.scene.pose import inverse, pose
 from dwgs.splat import Splats, render
 
-JERK = np.repeat((0.5, 2.0), 3)
-"""What a vehicle does [rad/s^3, m/s^3]."""
-LEAST_SLACK = np.repeat((1e-3, 5e-3), 3)
-"""How far [rad, m] even a smooth path may be off that someone made up."""
-ANNOTATED_SLACK = np.repeat((0.02, 0.05), 3)
-"""The same of boxes that were drawn around what a LiDAR saw."""
 ROUGH = np.repeat((1e-3, 5e-3), 3)
 """Noise of a path [rad, m] above which no vehicle drives it."""
-COHERENCE = 1e4
-"""Pixels that err together: a model that is not done yet is wrong in large patches."""
 MOST = np.repeat((0.05, 0.2), 3)
 """How far [rad, m] a pose may be corrected about or along each axis: the layers of the background allow for more."""
 LONG = 0.5
@@ -46,16 +39,18 @@ class BoxPoses:
 
     Args:
         sights: Frames that show it, camera by camera, in order of time.
-        robust: Whether losses are absolute errors, as if they were Laplace's, or squared ones, Gauss's.
+        recipe: What is known of such paths; whether losses are absolute errors, as if they were Laplace's, or squared
+            ones, Gauss's.
     """
 
-    def __init__(self, sights: Sequence[Sight], robust: bool) -> None:
-        self._robust = robust
+    def __init__(self, sights: Sequence[Sight], recipe: Recipe) -> None:
+        self._recipe = recipe
+        self._jerk = np.repeat(recipe.path.jerk, 3)
         self._nominal = np.array([sight.world_from_vehicle for sight in sights])
         self._world_from_camera = np.array([sight.camera.world_from_camera for sight in sights])
         self._world_from_vehicle = self._nominal.copy()
         self._jerk_from_path = _third_derivative(sights)
-        self._slack = np.maximum(self.noise(), ANNOTATED_SLACK if robust else LEAST_SLACK)
+        self._slack = np.maximum(self.noise(), np.repeat(recipe.path.slack, 3))
         self._looks = np.zeros(len(sights), int)
         self._sensitivity, self._information = np.zeros((2, len(sights), 6, 6))
         self._pull = np.zeros((len(sights), 6))
@@ -107,12 +102,14 @@ class BoxPoses:
         self._looks[i] += 1
         numbers = 3 * float(shot.weight.sum())
         # minus the logarithm of the likelihood, per loss, and its second derivative by the numbers of the picture
-        share, curvature = (1 / loss, 1 / loss**2) if self._robust else (1 / (2 * loss), 1 / loss)
+        share, curvature = (1 / loss, 1 / loss**2) if self._recipe.robust else (1 / (2 * loss), 1 / loss)
         from_camera = self._world_from_camera[i, :3, :3]
         turning = from_camera @ v_viewmat[:3, :3] @ self._world_from_vehicle[i, :3, :3].T
         torque = turning[[2, 0, 1], [1, 2, 0]] - turning[[1, 2, 0], [2, 0, 1]]
-        self._information[i] = self._sensitivity[i] * curvature / COHERENCE
-        self._pull[i] = np.hstack([torque, from_camera @ v_viewmat[:3, 3]]) * numbers * share / COHERENCE
+        self._information[i] = self._sensitivity[i] * curvature / self._recipe.path.coherence
+        self._pull[i] = (
+            np.hstack([torque, from_camera @ v_viewmat[:3, 3]]) * numbers * share / self._recipe.path.coherence
+        )
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Everything that further corrections depend on."""
@@ -128,9 +125,9 @@ class BoxPoses:
         count, corrections = len(self._nominal), self.corrections()
         smooth = self._jerk_from_path.T @ self._jerk_from_path
         matrix = sparse.block_diag(list(self._information + np.diag(self._slack**-2))) + sparse.kron(
-            smooth, np.diag(JERK**-2)
+            smooth, np.diag(self._jerk**-2)
         )
-        pull = self._pull + (smooth @ self._path()) * JERK**-2 + corrections * self._slack**-2
+        pull = self._pull + (smooth @ self._path()) * self._jerk**-2 + corrections * self._slack**-2
         moves = -sparse.linalg.spsolve(matrix.tocsc(), pull.reshape(-1)).reshape(count, 6)
         moves = np.clip(corrections + moves, -MOST, MOST) - corrections
         turned = Rotation.from_rotvec(moves[:, :3]).as_matrix() @ self._world_from_vehicle[:, :3, :3]

@@ -1,14 +1,19 @@
-"""A vehicle asset as a folder: ``gaussians.ply`` (the body), ``shadow.ply``, ``asset.json``."""
+"""A vehicle asset as a folder: ``gaussians.ply`` (the body), ``shadow.ply``, ``asset.json``.
+
+Where it is known, ``observations.npy`` says for each Gaussian of the body how many frames saw it.
+"""
 
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dwgs.files import new_folder
 from dwgs.formats import ply
 from dwgs.formats.document import read_document, write_document
 from dwgs.scene import InputError, VehicleAsset
 
+OBSERVATIONS = "observations.npy"
 STAMP = {
     "format": "dwgs vehicle asset",
     "format_version": 1,
@@ -37,6 +42,8 @@ def write(asset: VehicleAsset, path: Path) -> None:
     with new_folder(path) as draft:
         ply.write(asset.body, draft / "gaussians.ply")
         ply.write(asset.shadow, draft / "shadow.ply")
+        if asset.observations is not None:
+            np.save(draft / OBSERVATIONS, np.asarray(asset.observations, np.uint32))
         write_document(content, STAMP, draft / "asset.json")
 
 
@@ -59,4 +66,18 @@ def read(path: Path) -> VehicleAsset:
             f"'{path / 'asset.json'}' counts {counts[0]} + {counts[1]} Gaussians, the PLY files hold "
             f"{len(body)} + {len(shadow)}; the folder is a mixture of two"
         )
-    return VehicleAsset(body, shadow, size, category, provenance, quality)
+    observations = _observations(path / OBSERVATIONS, len(body))
+    return VehicleAsset(body, shadow, size, category, provenance, quality, observations)
+
+
+def _observations(path: Path, count: int) -> NDArray[np.uint32] | None:
+    """[count] of the file, where there is one."""
+    if not path.exists():
+        return None
+    try:
+        values = np.load(path, mmap_mode="r", allow_pickle=False)  # whatever its header says, nothing is allocated
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError(f"'{path}' is not an array of numbers: {error}; write the asset anew") from error
+    if values.shape != (count,) or values.dtype != np.uint32:
+        raise InputError(f"'{path}' is {values.dtype} {values.shape}, the asset has {count} Gaussians; write it anew")
+    return np.array(values)

@@ -24,7 +24,9 @@ class VehicleAsset:
     provenance: dict[str, Any] = field(default_factory=dict)
     """Where it comes from: scene, generator, versions, seed, settings. JSON values."""
     quality: dict[str, Any] = field(default_factory=dict)
-    """What was measured: held-out PSNR and SSIM, seen azimuths. JSON values."""
+    """What was measured: held-out PSNR and SSIM, sides seen, corrections of poses. JSON values."""
+    observations: NDArray[np.uint32] | None = None
+    """[body] how many frames saw each Gaussian; those that none saw are as they were put there."""
 
     @property
     def gaussians(self) -> Gaussians:

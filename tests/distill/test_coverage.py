@@ -28,8 +28,10 @@ def test_each_side_is_counted_where_it_is_seen(azimuth, side, sector):
     report = seen_from(azimuth)[0].report()
     seen = [name for name, pixels in report["side_pixels"].items() if pixels > 0]
     assert seen == [side]
-    assert len(report["azimuths"]) == SECTORS
-    assert report["azimuths"][sector] == 1
+    assert len(report["sectors"]) == SECTORS
+    entry = {"azimuth_deg": 30 * sector, "share": 1, "frames": 1, "elevation_deg": [0, 0], "distance_m": [12, 12]}
+    assert report["sectors"][sector] == entry
+    assert report["sectors"][sector - 1]["distance_m"] is None
 
 
 def test_sides_add_up_to_the_silhouette():
@@ -42,4 +44,4 @@ def test_sides_add_up_to_the_silhouette():
 def test_what_is_not_shown_does_not_count():
     coverage, _ = seen_from(0.7, shown=np.zeros((240, 320), bool))
     assert sum(coverage.side_pixels.values()) == 0
-    assert sum(coverage.report()["azimuths"]) == 0
+    assert sum(entry["share"] for entry in coverage.report()["sectors"]) == 0

@@ -194,7 +194,18 @@ def test_a_schedule_without_steps_is_refused(toy):
 def test_the_report_says_what_was_seen(quick):
     _, asset, report = quick
     assert report["side_pixels"]["right"] > report["side_pixels"]["left"]
-    assert sum(report["azimuths"]) == pytest.approx(1, abs=1e-3)
+    assert sum(sector["share"] for sector in report["sectors"]) == pytest.approx(1, abs=1e-3)
     assert asset.quality["psnr_roi_heldout"] == report["psnr_roi_heldout"]
     assert asset.provenance["config"]["steps"] == QUICK.steps
     assert isinstance(report["frames"][0]["frame"], int)
+    judged = [sector["psnr_roi_heldout"] for sector in report["sectors"] if sector["psnr_roi_heldout"]]
+    assert np.mean(judged) == pytest.approx(report["psnr_roi_heldout"], abs=3)
+
+
+def test_the_asset_knows_which_gaussians_were_seen(toy, quick):
+    _, asset, report = quick
+    assert asset.observations.max() == report["frames_taught"]
+    side = asset.body.means[:, 1]  # the camera sees the right of it
+    assert asset.observations[side < -0.8].mean() > 4 * asset.observations[side > 0.8].mean()
+    assert report["gaussians_unseen"] == (asset.observations == 0).sum()
+    np.testing.assert_allclose(report["extent"], toy.insertion.size, atol=0.3)

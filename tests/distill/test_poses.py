@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from dwgs.distill.config import GENERATED, RECORDED
 from dwgs.distill.poses import MOST, BoxPoses
 from dwgs.scene.pose import pose, yaw_rotation
 
@@ -44,15 +45,15 @@ def trembling():
 
 def test_a_drive_is_smooth_and_noise_on_it_is_measured(trembling):
     smooth, noisy, times = trembling
-    assert not BoxPoses(sights_along(smooth, times), False).is_rough()
-    poses = BoxPoses(sights_along(noisy, times), False)
+    assert not BoxPoses(sights_along(smooth, times), GENERATED).is_rough()
+    poses = BoxPoses(sights_along(noisy, times), GENERATED)
     assert poses.is_rough()
     np.testing.assert_allclose(poses.noise(), np.repeat((np.radians(0.5), 0.05), 3), rtol=0.5)
 
 
 def test_before_anything_is_seen_poses_settle_on_a_smooth_path(trembling):
     smooth, noisy, times = trembling
-    poses = BoxPoses(sights_along(noisy, times), False)
+    poses = BoxPoses(sights_along(noisy, times), GENERATED)
     poses.settle()
     settled = np.array([noisy[i] @ poses.old_from_new(i) for i in range(80)])
     for before, after in zip(off(noisy, smooth), off(settled, smooth), strict=True):
@@ -61,7 +62,7 @@ def test_before_anything_is_seen_poses_settle_on_a_smooth_path(trembling):
 
 def test_a_smooth_path_settles_where_it_is():
     smooth, times = curve(40)
-    poses = BoxPoses(sights_along(smooth, times), False)
+    poses = BoxPoses(sights_along(smooth, times), GENERATED)
     poses.settle()
     assert np.abs(poses.corrections()).max() < 2e-3
 
@@ -69,7 +70,7 @@ def test_a_smooth_path_settles_where_it_is():
 def test_no_correction_leaves_the_room_that_the_layers_have():
     smooth, times = curve(40)
     smooth[::2, :3, 3] += 3.0
-    poses = BoxPoses(sights_along(smooth, times), False)
+    poses = BoxPoses(sights_along(smooth, times), GENERATED)
     poses.settle()
     assert (np.abs(poses.corrections()) <= MOST + 1e-9).all()
 
@@ -77,7 +78,7 @@ def test_no_correction_leaves_the_room_that_the_layers_have():
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_few_frames_have_no_jerk(count):
     smooth, times = curve(count)
-    poses = BoxPoses(sights_along(smooth, times), True)
+    poses = BoxPoses(sights_along(smooth, times), RECORDED)
     assert not poses.is_rough()
     poses.settle()
     np.testing.assert_allclose(poses.corrections(), 0, atol=1e-12)
@@ -87,4 +88,4 @@ def test_frames_of_two_cameras_and_gaps_are_not_compared():
     smooth, times = curve(8)
     smooth[4:, :3, 3] += 5.0
     times[4:] += 3.0
-    assert not BoxPoses(sights_along(smooth, times), False).is_rough()
+    assert not BoxPoses(sights_along(smooth, times), GENERATED).is_rough()

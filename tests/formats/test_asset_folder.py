@@ -22,7 +22,8 @@ def cloud(n: int, seed: int) -> Gaussians:
 @pytest.fixture
 def asset() -> VehicleAsset:
     provenance, quality = {"scene": "street", "seed": 3}, {"psnr": 39.7, "azimuths": [0.1, 2.0]}
-    return VehicleAsset(cloud(9, 0), cloud(4, 1), np.array([4.4, 1.85, 1.5]), "van", provenance, quality)
+    seen = np.arange(9, dtype=np.uint32)
+    return VehicleAsset(cloud(9, 0), cloud(4, 1), np.array([4.4, 1.85, 1.5]), "van", provenance, quality, seen)
 
 
 def test_an_asset_comes_back(tmp_path, asset):
@@ -30,6 +31,7 @@ def test_an_asset_comes_back(tmp_path, asset):
     assert sorted(p.name for p in (tmp_path / "asset").iterdir()) == [
         "asset.json",
         "gaussians.ply",
+        "observations.npy",
         "shadow.ply",
     ]
     read = asset_folder.read(tmp_path / "asset")
@@ -37,12 +39,39 @@ def test_an_asset_comes_back(tmp_path, asset):
     assert (read.category, read.provenance, read.quality) == ("van", asset.provenance, asset.quality)
     np.testing.assert_array_equal(read.body.means, asset.body.means)
     np.testing.assert_array_equal(read.shadow.sh, asset.shadow.sh)
+    np.testing.assert_array_equal(read.observations, asset.observations)
 
 
 def test_an_asset_without_a_shadow_comes_back(tmp_path, asset):
     bare = VehicleAsset(asset.body, Gaussians.empty(), asset.size)
     asset_folder.write(bare, tmp_path / "asset")
-    assert len(asset_folder.read(tmp_path / "asset").shadow) == 0
+    read = asset_folder.read(tmp_path / "asset")
+    assert len(read.shadow) == 0
+    assert read.observations is None
+
+
+def huge(path):
+    """A header that promises 8 TiB."""
+    np.save(path, np.zeros(9, np.uint32))
+    path.write_bytes(path.read_bytes().replace(b"(9,), }     ", b"(2199023255552,), }")[:128] + bytes(36))
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        huge,
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_bytes(b"not numbers"),
+        lambda path: np.save(path, np.array([{}] * 9), allow_pickle=True),
+        lambda path: np.save(path, np.zeros(8, np.uint32)),
+        lambda path: np.save(path, np.zeros(9)),
+    ],
+)
+def test_observations_of_something_else_are_refused(tmp_path, asset, spoil):
+    asset_folder.write(asset, tmp_path / "asset")
+    spoil(tmp_path / "asset" / "observations.npy")
+    with pytest.raises(InputError, match=r"observations\.npy"):
+        asset_folder.read(tmp_path / "asset")
 
 
 def test_writing_again_gives_the_same_bytes(tmp_path, asset):

@@ -1,0 +1,40 @@
+"""Counts by how many frames each Gaussian was seen: what none saw is as it was put there."""
+
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from dwgs.distill.shots import Shot
+from dwgs.scene import Gaussians
+from dwgs.splat import RetainedCloud, Splats, View
+from dwgs.splat.constants import SH_C0
+
+LEAST_PIXELS = 0.5
+"""A frame sees a Gaussian that colours at least so much of its pixels, summed by weight."""
+
+
+def observations(
+    shots: Iterable[tuple[Shot, View]], body: Gaussians, shadow: Gaussians, threads: int
+) -> NDArray[np.uint32]:
+    """[body] how many of the frames saw each of the body's Gaussians, where they were compared with it.
+
+    The weight of a Gaussian in an image is the image's derivative by its colour.
+    """
+    splats = Splats.from_gaussians(Gaussians.concatenate([body, shadow]))
+    grey = torch.zeros(len(splats), 1, 3)  # far from where colours are cut off
+    leaves = (splats.means, splats.quats, splats.scales, splats.opacities, grey)
+    cloud = RetainedCloud(Splats(*(leaf.contiguous().requires_grad_() for leaf in leaves)), threads)
+    counts = np.zeros(len(body), np.uint32)
+    for shot, view in shots:
+        picture = shot.frozen.retain(cloud, view)
+        drawing = picture.draw()
+        for gradient in (drawing.v_rgb, drawing.v_depth, drawing.v_alpha):
+            gradient.zero_()
+        drawing.v_rgb[..., 0] = torch.from_numpy(shot.sight.region.supervised).float()
+        picture.adjoint()
+        by_color = cloud.splats.sh.grad
+        assert by_color is not None
+        counts += (by_color[: len(body), 0, 0] / SH_C0 > LEAST_PIXELS).numpy()
+    return counts
