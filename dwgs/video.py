@@ -1,4 +1,4 @@
-"""Video in and out: bit-exact for machines (FFV1), small for people (H.264)."""
+"""Video in and out: bit-exact for machines (MagicYUV), small for people (H.264)."""
 
 import threading
 import zlib
@@ -11,6 +11,7 @@ import av
 import numpy as np
 from av.error import FFmpegError
 from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from dwgs.files import new_file
@@ -19,10 +20,8 @@ from dwgs.scene.errors import InputError
 MAX_PIXELS = 2**27
 """A video whose header claims larger frames [px] is refused before memory is asked for."""
 
-THREADS = 2
-"""Work on the slices of one lossless frame; the bytes do not depend on it."""
-
-_TURNED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+_CHECKSUM = 4
+"""Bytes behind a frame that decoders do not read."""
 _BT709 = 1
 _LIMITED_RANGE = 1
 
@@ -30,21 +29,22 @@ _LIMITED_RANGE = 1
 def write_lossless(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float = 10.0) -> None:
     """Write uint8 frames, all [H, W, 3] RGB or all [H, W] grey, so that they read back bit by bit.
 
-    FFV1 level 3 in Matroska, every frame on its own: any can be reached without its neighbours, a damaged one
-    is noticed by its checksum, and every video tool opens the file.
+    MagicYUV in AVI, every frame on its own: any can be reached without its neighbours, in a sixth of FFV1's time and
+    a third more bytes. A CRC-32 behind each frame tells a damaged one; every video tool opens the file all the same.
     """
-    options = {"level": "3", "slicecrc": "1", "g": "1"}
     first, frames = _peek(frames)
-    source, stored = ("gray", "gray") if first.ndim == 2 else ("rgb24", "bgr0")
-    plain = {"fflags": "+bitexact"}  # no random identity: the same frames make the same file
-    with new_file(path) as draft, av.open(draft, "w", format="matroska", options=plain) as container:
-        stream = container.add_stream("ffv1", rate=_rate(fps), options=options)
+    source, stored = ("gray", "gray") if first.ndim == 2 else ("rgb24", "gbrp")
+    plain = {"fflags": "+bitexact"}  # the same frames make the same file
+    with new_file(path) as draft, av.open(draft, "w", format="avi", options=plain) as container:
+        stream = container.add_stream("magicyuv", rate=_rate(fps))
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = stored
-        stream.codec_context.thread_type, stream.codec_context.thread_count = "SLICE", THREADS
-        for frame in _alike(frames, first.shape):
-            container.mux(stream.encode(VideoFrame.from_ndarray(frame, format=source).reformat(format=stored)))
-        container.mux(stream.encode())
+        pictures = (
+            VideoFrame.from_ndarray(frame, format=source).reformat(format=stored)
+            for frame in _alike(frames, first.shape)
+        )
+        for picture in chain(pictures, [None]):
+            container.mux([_signed(packet, stream) for packet in stream.encode(picture)])
 
 
 def write_mp4(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float = 10.0) -> None:
@@ -90,16 +90,14 @@ class LosslessVideo:
         except (FFmpegError, IndexError) as error:
             raise InputError(f"'{self.path}' is not a video ({error}); write it again") from None
         codec = self._stream.codec_context
-        codec.thread_type, codec.thread_count = "SLICE", THREADS
-        if codec.name != "ffv1" or codec.pix_fmt not in ("bgr0", "gray"):
-            raise InputError(f"'{self.path}' is {codec.name} {codec.pix_fmt}, not lossless FFV1 in bgr0 or gray")
+        codec.thread_count = 1  # frames are decoded by whoever wants them
+        if codec.name != "magicyuv" or codec.pix_fmt not in ("gbrp", "gray"):
+            raise InputError(f"'{self.path}' is {codec.name} {codec.pix_fmt}, not lossless MagicYUV in gbrp or gray")
         if codec.width * codec.height > MAX_PIXELS:
             raise InputError(f"'{self.path}' claims frames of {codec.width}x{codec.height}, more than can be meant")
         self.width, self.height = codec.width, codec.height
         self._format = "gray" if codec.pix_fmt == "gray" else "rgb24"
-        stated = self._container.duration  # microseconds, set when the last frame was written
-        rate = self._stream.average_rate
-        if not stated or not rate or len(self._stamps) != round(stated * 1e-6 * rate):
+        if len(self._stamps) != self._stream.frames:  # as the header says, set when the last one was written
             raise InputError(f"'{self.path}' is cut short after {len(self._stamps)} frames; write it again")
 
     def __len__(self) -> int:
@@ -119,19 +117,18 @@ class LosslessVideo:
         raise InputError(f"frame {index} of '{self.path}' is damaged; write the video again")
 
 
-def _is_whole(packet: bytes) -> bool:
-    """Whether every slice of an FFV1 frame bears out its checksum, which the decoder reads but does not heed.
+def _signed(packet: av.Packet, stream: VideoStream) -> av.Packet:
+    """A frame with its CRC-32 behind it."""
+    data = bytes(packet)
+    signed = av.Packet(data + zlib.crc32(data).to_bytes(_CHECKSUM, "little"))
+    signed.stream, signed.time_base, signed.is_keyframe = stream, packet.time_base, True
+    signed.pts, signed.dts, signed.duration = packet.pts, packet.dts, packet.duration
+    return signed
 
-    A slice ends with its size (3 bytes), a status (1) and a CRC-32 (4) that makes the remainder 0 (RFC 9043).
-    The CRC takes the highest bit first, zlib's the lowest: turning every byte around reconciles them.
-    """
-    end = len(packet)
-    while end > 0:
-        start = end - 8 - int.from_bytes(packet[end - 8 : end - 5], "big")
-        if start < 0 or zlib.crc32(packet[start:end].translate(_TURNED), 0xFFFFFFFF) != 0xFFFFFFFF:
-            return False
-        end = start
-    return end == 0 and len(packet) > 0
+
+def _is_whole(packet: bytes) -> bool:
+    """Whether a frame bears out its checksum."""
+    return zlib.crc32(packet[:-_CHECKSUM]) == int.from_bytes(packet[-_CHECKSUM:], "little")
 
 
 def _peek(frames: Iterable[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], Iterator[NDArray[np.uint8]]]:

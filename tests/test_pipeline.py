@@ -72,7 +72,7 @@ def test_another_seed_runs_only_what_depends_on_it(out):
 
 def test_the_street_renders_with_the_vehicle_moved_and_removed(out):
     for name, extra in (("moved", ["--asset", str(out / "asset"), "--move", "3", "0", "0"]), ("removed", [])):
-        film = out / f"{name}.mkv"
+        film = out / f"{name}.avi"
         main(["render", str(out / "recorded"), "--background", str(out / "background"), *extra, "-o", str(film)])
         assert film.stat().st_size > 0
 

@@ -23,7 +23,7 @@ class Render:
     background: Path
     """Folder from `dwgs reconstruct`."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Film to write (.mp4, or .mkv without loss)."""
+    """Film to write (.mp4, or .avi without loss)."""
     placement: PlacementOptions
     asset: tuple[Path, ...] = ()
     """Asset folders, each on the trajectory it was distilled on unless another is given; none shows the
@@ -54,7 +54,7 @@ class Render:
         graph = SceneGraph(background, actors)
         with bar("render") as progress:
             pictures = (rendered(renderer, graph, background, frame) for frame in counted(frames, progress.count))
-            write = write_lossless if self.out.suffix == ".mkv" else write_mp4
+            write = write_lossless if self.out.suffix == ".avi" else write_mp4
             write(self.out, pictures, fps(frames))
         say(f"wrote {self.out}")
 

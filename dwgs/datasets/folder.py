@@ -1,7 +1,7 @@
 """Our own Scene folder: what the stages write for each other, back bit by bit.
 
-``scene.json`` holds every number (JSON keeps float64 exactly), ``<camera>.mkv`` the pixels (FFV1),
-``<camera>.reactive_mask.mkv`` the masks of the frames that have one, ``sweeps.safetensors`` the LiDAR. Any of
+``scene.json`` holds every number (JSON keeps float64 exactly), ``<camera>.avi`` the pixels (MagicYUV),
+``<camera>.reactive_mask.avi`` the masks of the frames that have one, ``sweeps.safetensors`` the LiDAR. Any of
 them opens in everyday tools, and nothing in them can run.
 """
 
@@ -50,11 +50,11 @@ def write(scene: Scene, path: Path, on_progress: Callable[[int, int], None] | No
             raise InputError(f"a camera name is letters, digits, _ and -, got '{name}'; rename the camera")
     with new_folder(path) as draft:
         for name, frames in scene.frames.items():
-            write_lossless(draft / f"{name}.mkv", pixels(frames), _fps(frames))
+            write_lossless(draft / f"{name}.avi", pixels(frames), _fps(frames))
             masks = [frame for frame in frames if frame.load_reactive_mask]
             if masks:
                 grey = (np.uint8(255) * np.asarray(frame.reactive_mask, bool) for frame in masks)
-                write_lossless(draft / f"{name}.reactive_mask.mkv", grey, _fps(frames))
+                write_lossless(draft / f"{name}.reactive_mask.avi", grey, _fps(frames))
         arrays = {}
         for i, sweep in enumerate(scene.sweeps):
             arrays |= {f"{i}.points": sweep.points, f"{i}.times": sweep.times}
@@ -177,8 +177,8 @@ def _frames(path: Path, name: str, entries: list[dict[str, Any]]) -> tuple[Frame
         for entry in entries
     ]
     masked = [i for i, entry in enumerate(entries) if entry["has_reactive_mask"]]
-    video = _video(path / f"{name}.mkv", cameras)
-    masks = _video(path / f"{name}.reactive_mask.mkv", [cameras[i] for i in masked]) if masked else None
+    video = _video(path / f"{name}.avi", cameras)
+    masks = _video(path / f"{name}.reactive_mask.avi", [cameras[i] for i in masked]) if masked else None
     return tuple(
         Frame(
             index=int(entry["index"]),

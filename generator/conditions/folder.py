@@ -27,7 +27,7 @@ def write(conditions: Conditions, path: Path) -> None:
     """Write a folder that people can watch and `read` reads: whole or not at all.
 
     ``conditions.json``, ``insertion/`` (`write_insertion`), and for each camera the lossless videos
-    ``points.mkv``, ``point_mask.mkv``, ``reactive_mask.mkv`` and ``inactive.mkv`` (the recording with a grey
+    ``points.avi``, ``point_mask.avi``, ``reactive_mask.avi`` and ``inactive.avi`` (the recording with a grey
     hole).
     """
     cameras = {name: [_identity(f.frame) for f in frames] for name, frames in conditions.frames.items()}
@@ -44,7 +44,7 @@ def write(conditions: Conditions, path: Path) -> None:
                 "inactive": (f.load_inactive_image() for f in frames),
             }
             for kind, images in videos.items():
-                write_lossless(folder / f"{kind}.mkv", images, fps)
+                write_lossless(folder / f"{kind}.avi", images, fps)
         write_document(
             {"scene": conditions.scene.name, "cameras": cameras}, CONDITIONS_STAMP, draft / "conditions.json"
         )
@@ -68,7 +68,7 @@ def read(path: Path, scene: Scene) -> Conditions:
     frames = {}
     for name, recorded in scene.frames.items():
         folder = _camera_folder(path, name)
-        videos = [LosslessVideo(folder / f"{kind}.mkv") for kind in ("points", "point_mask", "reactive_mask")]
+        videos = [LosslessVideo(folder / f"{kind}.avi") for kind in ("points", "point_mask", "reactive_mask")]
         for video in videos:
             size = (recorded[0].camera.width, recorded[0].camera.height)
             if len(video) != len(recorded) or (video.width, video.height) != size:

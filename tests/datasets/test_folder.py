@@ -94,7 +94,7 @@ def test_writing_what_was_read_makes_the_same_files(scene, tmp_path):
     folder.write(scene, tmp_path / "a")
     folder.write(folder.read(tmp_path / "a"), tmp_path / "b")
     names = sorted(file.name for file in (tmp_path / "a").iterdir())
-    assert names == ["front.mkv", "front.reactive_mask.mkv", "left.mkv", "scene.json", "sweeps.safetensors"]
+    assert names == ["front.avi", "front.reactive_mask.avi", "left.avi", "scene.json", "sweeps.safetensors"]
     for name in names:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
@@ -153,7 +153,7 @@ def edit(path, change) -> None:
         (lambda d: d["cameras"]["front"][0].update(width=10**12), "not the 4 that scene.json describes"),
         (lambda d: d["cameras"]["front"][0].update(width=-1), "at least one pixel"),
         (lambda d: d["cameras"]["front"].pop(), "holds 4 frames of 72x48, not the 3"),
-        (lambda d: d["cameras"].update(rear=d["cameras"]["front"]), "there is no video '.*rear.mkv'"),
+        (lambda d: d["cameras"].update(rear=d["cameras"]["front"]), "there is no video '.*rear.avi'"),
         (lambda d: d["ego"]["times"].reverse(), "strictly increasing"),
         (lambda d: d["ego"].update(times="soon"), "is damaged"),
         (lambda d: d["sweeps"].append(d["sweeps"][0]), "sweeps.safetensors' is missing or damaged"),
@@ -177,7 +177,7 @@ def test_wrong_files_are_refused_in_a_sentence(scene, tmp_path):
         with pytest.raises(InputError, match=r"sweeps\.safetensors' is missing or damaged"):
             folder.read(path)
     (path / "sweeps.safetensors").write_bytes(sweeps)
-    write_lossless(path / "left.mkv", np.zeros((2, 8, 8, 3), np.uint8))
+    write_lossless(path / "left.avi", np.zeros((2, 8, 8, 3), np.uint8))
     with pytest.raises(InputError, match="holds 2 frames of 8x8"):
         folder.read(path)
     (path / "scene.json").write_text("{")

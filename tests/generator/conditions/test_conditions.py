@@ -51,7 +51,7 @@ def test_conditions_read_back_bit_by_bit(tmp_path: Path, scene: Scene, insertion
     names = {p.relative_to(tmp_path / "c").as_posix() for p in (tmp_path / "c").rglob("*") if p.is_file()}
     assert names == {
         "conditions.json", "insertion/insertion.json", "insertion/points.ply",
-        *(f"front/{n}.mkv" for n in ("points", "point_mask", "reactive_mask", "inactive")),
+        *(f"front/{n}.avi" for n in ("points", "point_mask", "reactive_mask", "inactive")),
     }  # fmt: skip
 
 
@@ -96,8 +96,8 @@ def test_a_damaged_folder_is_refused(tmp_path: Path, scene: Scene, insertion: In
     document.write_text(json.dumps({**said, "trajectory": {}}))
     with pytest.raises(InputError, match="lacks or garbles 'times'"):
         read(tmp_path / "c", scene)
-    (tmp_path / "c" / "front" / "points.mkv").unlink()
-    with pytest.raises(InputError, match=r"points.mkv"):
+    (tmp_path / "c" / "front" / "points.avi").unlink()
+    with pytest.raises(InputError, match=r"points.avi"):
         read(tmp_path / "c", scene)
 
 
