@@ -18,7 +18,7 @@ class DistillConfig:
     gaussians: int = 20_000
     """At most so many on the vehicle's body."""
     shadow_margin: float = 2.5
-    """How far around the box a shadow is looked for [m]."""
+    """How far around the box a shadow is looked for [m]; 0: there is none."""
     lidar_weight: float = 0.02
     """Weight of the relative LiDAR depth error, outside reactive masks; 0 leaves it out."""
     threads: int = 2

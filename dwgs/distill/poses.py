@@ -6,6 +6,7 @@ Newton, Lucas and Kanade 1981). All frames are settled together, because a vehic
 """
 
 from collections.abc import Mapping, Sequence
+from math import factorial
 
 import numpy as np
 import torch
@@ -22,6 +23,10 @@ ROUGH = np.repeat((1e-3, 5e-3), 3)
 """Noise of a path [rad, m] above which no vehicle drives it."""
 MOST = np.repeat((0.05, 0.2), 3)
 """How far [rad, m] a pose may be corrected about or along each axis: the layers of the background allow for more."""
+TO_AND_FRO = -0.4
+"""Correlation of a path's jerk with the next; white noise has -0.75, a manoeuvre has more than 0."""
+STRIDE = 8
+"""Sights from one to the next that tell how sharply a trembling path bends."""
 LONG = 0.5
 """Seconds between frames over which nothing is known of a path."""
 REFRESH = 4
@@ -45,26 +50,23 @@ class BoxPoses:
 
     def __init__(self, sights: Sequence[Sight], recipe: Recipe) -> None:
         self._recipe = recipe
-        self._jerk = np.repeat(recipe.path.jerk, 3)
         self._nominal = np.array([sight.world_from_vehicle for sight in sights])
         self._world_from_camera = np.array([sight.camera.world_from_camera for sight in sights])
         self._world_from_vehicle = self._nominal.copy()
-        self._jerk_from_path = _third_derivative(sights)
-        self._slack = np.maximum(self.noise(), np.repeat(recipe.path.slack, 3))
+        self._jerk_from_path = _derivative(sights, 3)
+        self._noise = self._measure_noise(_derivative(sights, 5))
+        far_apart = _derivative(sights, 3, stride=max(1, min(STRIDE, (len(sights) - 1) // 3)))
+        self._jerk = np.maximum(self._measure_jerk(far_apart), np.repeat(recipe.path.jerk, 3))
+        self._slack = np.maximum(self._noise, np.repeat(recipe.path.slack, 3))
         self._looks = np.zeros(len(sights), int)
         self._sensitivity, self._information = np.zeros((2, len(sights), 6, 6))
         self._pull = np.zeros((len(sights), 6))
 
-    def noise(self) -> NDArray[np.float64]:
-        """[6] how much the path trembles about and along each axis [rad, m]: the sigma of white noise that does it."""
-        rows = np.sqrt(self._jerk_from_path.multiply(self._jerk_from_path).sum(1))
-        if not len(rows):
-            return np.zeros(6)
-        return np.median(np.abs(self._jerk_from_path @ self._path()) / rows.reshape(-1, 1), 0) / 0.6745
-
     def is_rough(self) -> bool:
-        """Whether no vehicle drives like that."""
-        return bool((self.noise() > ROUGH).any())
+        """Whether the path trembles as no vehicle does: to and fro, where one that bends sharply goes on bending."""
+        jerks = self._jerk_from_path @ self._path()
+        turns_back = (jerks[1:] * jerks[:-1]).sum(0) < TO_AND_FRO * (jerks**2).sum(0)
+        return bool((turns_back & (self._noise > ROUGH)).any())
 
     def old_from_new(self, i: int) -> NDArray[np.float64]:
         """[4, 4] the correction of a sight: ``world_from_new = world_from_old @ old_from_new``."""
@@ -141,20 +143,40 @@ class BoxPoses:
         angles = np.vstack([np.zeros(3), np.cumsum(turns.reshape(-1, 3), 0)])
         return np.hstack([angles, self._world_from_vehicle[:, :3, 3]])
 
+    def _measure_noise(self, derivative: sparse.csr_array) -> NDArray[np.float64]:
+        """[6] sigma of the white noise about and along each axis [rad, m] that makes a high ``derivative`` so large."""
+        if derivative.nnz == 0:
+            return np.zeros(6)
+        return np.median(np.abs(derivative @ self._path()) / _sizes(derivative), 0) / 0.6745
 
-def _third_derivative(sights: Sequence[Sight]) -> sparse.csr_array:
-    """[runs of four sights of one camera, sights] by divided differences in time [1/s^3]."""
+    def _measure_jerk(self, derivative: sparse.csr_array) -> NDArray[np.float64]:
+        """[6] of the path [rad/s^3, m/s^3] between places so far apart that noise makes little of it."""
+        if derivative.nnz == 0:
+            return np.zeros(6)
+        squares = (derivative @ self._path()) ** 2 - (_sizes(derivative) * self._noise) ** 2
+        return np.sqrt(np.maximum(squares.mean(0), 0))
+
+
+def _derivative(sights: Sequence[Sight], order: int, stride: int = 1) -> sparse.csr_array:
+    """[runs of sights of one camera, sights] by divided differences in time [1/s^order] of every so-many-th sight."""
     times = np.array([sight.frame.camera.time for sight in sights])
     cameras = [sight.frame.camera_name for sight in sights]
-    rows = []
-    for k in range(len(sights) - 3):
-        t = times[k : k + 4]
-        if len(set(cameras[k : k + 4])) == 1 and np.diff(t).max() < LONG:
-            apart = t[:, None] - t + np.eye(4)
-            rows.append((k, 6 / apart.prod(1)))
-    values = [weight for _, weights in rows for weight in weights]
-    places = np.repeat(np.arange(len(rows)), 4), [k + j for k, _ in rows for j in range(4)]
-    return sparse.csr_array((values, places), shape=(len(rows), len(sights)))
+    weights, places = [], []
+    for k in range(len(sights) - order * stride):
+        run = np.arange(k, k + order * stride + 1, stride)
+        t = times[run]
+        if cameras[run[0]] == cameras[run[-1]] and np.diff(t).max() < stride * LONG:
+            apart = t[:, None] - t + np.eye(order + 1)
+            weights.append(factorial(order) / apart.prod(1))
+            places.append(run)
+    rows = np.repeat(np.arange(len(weights)), order + 1)
+    columns = np.concatenate([*places, np.zeros(0, int)])
+    return sparse.csr_array((np.concatenate([*weights, np.zeros(0)]), (rows, columns)), (len(weights), len(sights)))
+
+
+def _sizes(derivative: sparse.csr_array) -> NDArray[np.float64]:
+    """[runs, 1] how much each row makes of white noise."""
+    return sparse.linalg.norm(derivative, axis=1).reshape(-1, 1)
 
 
 def sensitivity(shot: Shot, vehicle: Splats, world_from_vehicle: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -22,13 +22,13 @@ DARKNESS = 0.03
 def initialize_shadow(size: NDArray, margin: float, sights: Sequence[Sight]) -> Gaussians:
     """Faint dark discs flat on the ground, up to ``margin`` [m] around the box, where a shadow can be learnt.
 
-    That is where the frames see the ground beside the box, and their regions reach.
+    That is where the frames see the ground beside the box, and their regions reach; with no margin, nowhere.
     """
     half = np.asarray(size, np.float64) / 2 + margin
     x, y = (np.arange(SPACING / 2 - float(h), float(h), SPACING) for h in half[:2])
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     means = np.column_stack([grid, np.full(len(grid), LIFT - size[2] / 2)])
-    means = means[_is_exposed(means, size, sights)].astype(np.float32)
+    means = means[_is_exposed(means, size, sights) & (margin > 0)].astype(np.float32)
     n = len(means)
     return Gaussians(
         means,

@@ -40,3 +40,7 @@ def test_no_shadow_begins_where_nothing_may_change(sights):
 
 def test_without_frames_there_is_no_shadow():
     assert len(initialize_shadow(SIZE, 1.0, [])) == 0
+
+
+def test_with_no_margin_there_is_no_shadow(sights):
+    assert len(initialize_shadow(SIZE, 0.0, sights)) == 0
