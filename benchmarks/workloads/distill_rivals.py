@@ -1,0 +1,159 @@
+"""How much sooner the same quality is reached than by the loop that the field ships.
+
+Everyone has the same video, vehicle, trajectory and held-out frames, and is scored alike. Rivals prepare for nothing
+and are judged outside their time; ours decodes and splits the background within its own.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from rich.progress import Progress
+
+from benchmarks.metric import Metric
+from benchmarks.rivals.loops import Crops, FullFrames, Loop, Scenery
+from benchmarks.rivals.omnire import RigidNode, Schedule, scene_radius
+from benchmarks.workloads.oracle import follow
+from benchmarks.workloads.reconstructed_street import oracle
+from dwgs.datasets import folder
+from dwgs.distill import DistillConfig, distill
+from dwgs.distill.config import GENERATED
+from dwgs.distill.evaluate import score
+from dwgs.distill.layers import FrozenBackground
+from dwgs.distill.model import body_bounds, shadow_bounds
+from dwgs.distill.shadow import initialize_shadow
+from dwgs.distill.shots import Shot, find_sights, prepare_shots
+from dwgs.reconstruct import ReconstructConfig, reconstruct
+from dwgs.scene import Gaussians
+from dwgs.splat import Splats
+from dwgs.street import Street
+
+FIRST, FACTOR = 5.0, 1.15
+"""Rivals are judged after so many seconds, and again after so many times as long."""
+SLACK = 0.5
+"""Between two culls a rival's Gaussians may leave their bounds, by which frames are judged, so far [m]."""
+
+
+@dataclass(frozen=True)
+class Race:
+    """Who is held against whom, and for how long."""
+
+    ours: float
+    """Seconds given to ours; what it reaches then is the quality in question."""
+    budget: float
+    """Seconds after which a rival is given up."""
+    steps: int
+    """Length of the rivals' schedule."""
+    reconstruction: ReconstructConfig
+    """Of the street, which becomes the background."""
+
+
+@dataclass(frozen=True)
+class Finish:
+    """What became of a rival."""
+
+    seconds: float
+    """To the quality asked for; all it had, if that was not reached."""
+    is_reached: bool
+    psnr: float
+    """[dB] held out, when it was judged last."""
+    steps: int
+    gaussians: int
+
+    @property
+    def step_ms(self) -> float:
+        """Mean time of a step."""
+        return 1e3 * self.seconds / self.steps
+
+
+def run(street: Street, race: Race, progress: Progress) -> list[Metric]:
+    """Ours once, then each rival until it is as good or out of time."""
+    fit = reconstruct(street.scene(), race.reconstruction)
+    background, _ = follow(fit, progress, "reconstruct")
+    insertion = street.insertion()
+    scene, background = oracle(street, insertion, background)
+    with TemporaryDirectory() as temporary:
+        video = Path(temporary) / "oracle"
+        task = progress.add_task("film the reconstruction", total=street.frames)
+        folder.write(scene, video, lambda done, _: progress.update(task, completed=done))
+        scene = folder.read(video)
+        config = DistillConfig(seconds=race.ours)
+        _, report = follow(distill(scene, background, insertion, config), progress, "ours")
+        goal, ours = report["psnr_roi_heldout"], report["seconds"]["prepare"] + report["seconds"]["fit"]
+
+        frozen = FrozenBackground(background, scene.all_frames())
+        sights = find_sights(scene, frozen, insertion, GENERATED, config.threads)
+        shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
+        limits = body_bounds(insertion.size), shadow_bounds(insertion.size, shadow)
+        bounds = np.stack([np.minimum(limits[0][0], limits[1][0]), np.maximum(limits[0][1], limits[1][1])])
+        wide = bounds + np.array([[-SLACK], [SLACK]])
+        shots: list[Shot] = follow(
+            prepare_shots(sights, scene, frozen, insertion, wide, config.threads), progress, "prepare rivals"
+        )
+    learnt, judged = ([s for s in shots if s.sight.held_out == held_out] for held_out in (False, True))
+    schedule = Schedule(race.steps, len(learnt))
+    radius = scene_radius(street.scene().sweeps)
+    metrics = [
+        Metric("distill.street.rivals.background_gaussians", len(background.gaussians), ""),
+        Metric("distill.street.rivals.psnr", goal, "dB"),
+        Metric("distill.street.rivals.ours", ours, "s"),
+        Metric("distill.street.rivals.our_steps", report["steps"], ""),
+    ]
+    sceneries: dict[str, Callable[[], Scenery]] = {
+        "crop_loop": lambda: Crops(learnt, config.threads),
+        "field_loop": lambda: FullFrames(learnt, background, config.threads),
+    }
+    for name, scenery in sceneries.items():
+        node = RigidNode(insertion.vehicle, shadow, bounds, radius, schedule)
+        loop = Loop(node, scenery(), schedule)
+        finish = chase(loop, lambda loop=loop: held_out_psnr(loop, judged), goal, race.budget, progress, name)
+        metrics += _metrics(name, finish, ours)
+    return metrics
+
+
+def chase(loop: Loop, judge: Callable[[], float], goal: float, budget: float, progress: Progress, title: str) -> Finish:
+    """Step until ``judge`` says ``goal`` [dB], or until ``budget`` [s] are over; judging takes no time.
+
+    The moment is interpolated between the last two judgements.
+    """
+    task = progress.add_task(title, total=budget)
+    spent, before, psnr = 0.0, (0.0, judge()), -np.inf
+    due = min(FIRST, budget)
+    while True:
+        begin = time.perf_counter()
+        loop.step()
+        spent += time.perf_counter() - begin
+        progress.update(task, completed=min(spent, budget))
+        if spent < due:
+            continue
+        psnr = judge()
+        if psnr >= goal:
+            share = (goal - before[1]) / max(psnr - before[1], 1e-9)
+            seconds = before[0] + max(share, 0.0) * (spent - before[0])
+            return Finish(seconds, True, psnr, loop.steps, len(loop.node))
+        if spent >= budget:
+            return Finish(spent, False, psnr, loop.steps, len(loop.node))
+        before, due = (spent, psnr), min(spent * FACTOR, budget)
+
+
+def held_out_psnr(loop: Loop, shots: Sequence[Shot]) -> float:
+    """[dB] over the regions, as `distill` reports it."""
+    nothing = Splats.from_gaussians(Gaussians.empty())
+    splats = loop.splats()
+    return float(np.mean([score(shot, shot.view, splats, nothing, threads=2)[0].psnr_roi for shot in shots]))
+
+
+def _metrics(name: str, finish: Finish, ours: float) -> list[Metric]:
+    """A rival that did not arrive has bounds alone, and their keys say so."""
+    bound = "" if finish.is_reached else "_at_least"
+    return [
+        Metric(f"distill.street.speedup_over_{name}{bound}", finish.seconds / ours, "x"),
+        Metric(f"distill.street.{name}.seconds_to_quality{bound}", finish.seconds, "s"),
+        Metric(f"distill.street.{name}.psnr", finish.psnr, "dB"),
+        Metric(f"distill.street.{name}.steps", finish.steps, ""),
+        Metric(f"distill.street.{name}.step", finish.step_ms, "ms"),
+        Metric(f"distill.street.{name}.gaussians", finish.gaussians, ""),
+    ]
