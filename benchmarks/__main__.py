@@ -72,6 +72,8 @@ class Distill(Workload):
     """The times, everything but judging included."""
     reference_steps: int = 0
     """Of a fit that counts as converged, and is kept beside the benchmark; 0: what is kept there."""
+    without_shadow: float = 0
+    """Seconds given to one more fit, and to one that may not explain the vehicle's shadow; 0 leaves both out."""
     backgrounds: tuple[int, ...] = (100_000, 1_000_000, 5_000_000)
     """Gaussians behind the vehicle whose steps are timed; none: leave that out."""
     rivals: float = 0
@@ -94,7 +96,8 @@ class Distill(Workload):
         street, metrics = build_street(frames=self.frames), []
         with Progress() as progress:
             if self.drives:
-                metrics += distill.run(street, self.drives, self.seconds, self.reference_steps, progress)
+                plan = distill.Plan(self.drives, self.seconds, self.reference_steps, self.without_shadow)
+                metrics += distill.run(street, plan, progress)
             if self.backgrounds:
                 metrics += distill_step.run(street, self.backgrounds, progress)
             if self.rivals:

@@ -108,13 +108,13 @@ class Loop:
 
     def __init__(self, node: RigidNode, scenery: Scenery, schedule: Schedule, seed: int = 0) -> None:
         self.node, self.steps = node, 0
-        self._scenery, self._schedule = scenery, schedule
+        self._scenery, self.schedule = scenery, schedule
         self._random = np.random.default_rng(seed)
 
     def step(self) -> None:
         """One more."""
         self.steps += 1
-        i, shrink = int(self._random.integers(len(self._scenery))), self._schedule.shrink(self.steps)
+        i, shrink = int(self._random.integers(len(self._scenery))), self.schedule.shrink(self.steps)
         rgb, target, view = self._scenery.draw(i, shrink, self.node.splats(self.steps))
         width, height = self._scenery.size(i, shrink)
         share = rgb.shape[0] * rgb.shape[1] / (width * height)

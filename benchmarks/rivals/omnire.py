@@ -6,6 +6,7 @@ gradients, by which OmniRe grows: plain sums are held against the threshold that
 2023). Depth and sky losses are off inside an insertion.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -70,6 +71,11 @@ class Schedule:
     def shrink(self, step: int) -> int:
         """How many times smaller images are."""
         return max(COARSEST >> int(self.at(step - 1) // COARSE_EVERY), 1)
+
+    @property
+    def coarse_steps(self) -> int:
+        """Steps before images have their full size."""
+        return next(step for step in itertools.count() if self.shrink(step + 1) == 1)
 
     def degree(self, step: int) -> int:
         """Of the colours."""

@@ -7,6 +7,7 @@ time, which decoding and the layers of the background are part of; judging the r
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -27,15 +28,25 @@ NEAR_ENOUGH = 0.3
 """So far below what it converges to [dB] a vehicle counts as distilled."""
 
 
-def run(
-    street: Street, drives: Sequence[str], seconds: Sequence[float], reference_steps: int, progress: Progress
-) -> list[Metric]:
-    """Distil each drive once for each of the times; once to convergence, too, if that shall have so many steps.
+@dataclass(frozen=True)
+class Plan:
+    """What is distilled, and for how long."""
+
+    drives: Sequence[str]
+    seconds: Sequence[float]
+    reference_steps: int
+    """Of a further fit that counts as converged; 0: there is one beside the benchmark."""
+    without_shadow: float
+    """Seconds of a further fit that may not explain the shadow; 0: none."""
+
+
+def run(street: Street, plan: Plan, progress: Progress) -> list[Metric]:
+    """Distil each drive once for each of the times, and what else is planned.
 
     A drive without a reference of as many frames has no gaps, but for the street's own, which raises `InputError`.
     """
     references = json.loads(REFERENCE.read_text())
-    if not reference_steps and "street" in drives and references["street"]["frames"] != street.frames:
+    if not plan.reference_steps and "street" in plan.drives and references["street"]["frames"] != street.frames:
         raise InputError(
             f"the reference beside the benchmark is of {references['street']['frames']} frames, not {street.frames}; "
             "measure one with --reference-steps 30000"
@@ -43,7 +54,7 @@ def run(
     task = progress.add_task("record", total=street.frames)
     street.render_all(lambda done, _total: progress.update(task, completed=done))
     exact, metrics = ExactBackground(street), []
-    for drive in drives:
+    for drive in plan.drives:
         insertion = inserted(street, drive)
         with TemporaryDirectory() as temporary:
             video = Path(temporary) / "oracle"  # a video to decode, as whoever distils has it
@@ -56,10 +67,14 @@ def run(
             def reach(config: DistillConfig, title: str, scene=scene, insertion=insertion) -> dict:
                 return follow(distill(scene, exact, insertion, config), progress, title)[1]
 
-            short = {time: reach(DistillConfig(seconds=time), f"{drive}, {time:g} s") for time in seconds}
+            short = {time: reach(DistillConfig(seconds=time), f"{drive}, {time:g} s") for time in plan.seconds}
             load = os.getloadavg()[0]
-            if reference_steps:
-                report = reach(DistillConfig(steps=reference_steps), f"{drive}, {reference_steps:,} steps")
+            if plan.without_shadow:
+                with_it = DistillConfig(seconds=plan.without_shadow)
+                pair = [reach(replace(with_it, shadow_margin=m), f"shadow {m:g}") for m in (with_it.shadow_margin, 0.0)]
+                metrics += _shadow_metrics(_name(drive), *pair)
+            if plan.reference_steps:
+                report = reach(DistillConfig(steps=plan.reference_steps), f"{drive}, {plan.reference_steps:,} steps")
                 references[drive] = {key: report[key] for key in ("psnr_roi_heldout", "steps")}
                 references[drive]["frames"] = street.frames
                 REFERENCE.write_text(json.dumps(references, indent=2) + "\n")
@@ -105,6 +120,15 @@ def _metrics(name: str, short: Mapping[float, dict], reference: dict | None) -> 
         bound, time = seconds_to(NEAR_ENOUGH, gap_at)
         metrics.append(Metric(f"{name}.seconds_to_quality{bound}", time, "s"))
     return metrics
+
+
+def _shadow_metrics(name: str, with_it: dict, without: dict) -> list[Metric]:
+    gain = with_it["psnr_roi_heldout"] - without["psnr_roi_heldout"]
+    return [
+        Metric(f"{name}.shadow_gain_db", gain, "dB"),
+        Metric(f"{name}.shadow_gaussians", with_it["gaussians_shadow"], ""),
+        Metric(f"{name}.shadow_gaussians_without", without["gaussians_shadow"], ""),
+    ]
 
 
 def _name(drive: str) -> str:

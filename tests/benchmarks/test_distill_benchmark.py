@@ -78,19 +78,21 @@ def test_the_command_knows_every_drive():
 
 def test_quality_over_time_needs_a_reference_of_as_many_frames(street):
     with pytest.raises(InputError, match="of 193 frames, not 8; measure one"):
-        distill.run(street, ["street"], [1.0], 0, QUIET)
+        distill.run(street, distill.Plan(["street"], [1.0], 0, 0), QUIET)
 
 
+@pytest.mark.slow
 def test_quality_over_time_is_measured_and_the_reference_kept(street, tmp_path, monkeypatch):
     monkeypatch.setattr(distill, "REFERENCE", tmp_path / "reference.json")
     distill.REFERENCE.write_text('{"street": {"frames": 193}}')
-    metrics = distill.run(street, ["near"], [6.0], 12, QUIET)
+    metrics = distill.run(street, distill.Plan(["near"], [6.0], 12, 6.0), QUIET)
     value = {metric.key: metric.value for metric in metrics}
     kept = json.loads(distill.REFERENCE.read_text())
     assert kept["street"] == {"frames": 193}
     assert kept["near"] == {"psnr_roi_heldout": value["distill.street_near.psnr_converged"], "steps": 12, "frames": 8}
     gap = kept["near"]["psnr_roi_heldout"] - value["distill.street_near.psnr_at_6s"]
     assert value["distill.street_near.gap_db_at_6s"] == pytest.approx(gap)
+    assert value["distill.street_near.shadow_gaussians"] > 10 * value["distill.street_near.shadow_gaussians_without"]
 
 
 def test_discs_lie_on_the_surfaces_of_the_street_as_many_as_asked_for(street):
@@ -171,6 +173,7 @@ def test_a_rival_in_time_has_a_time_and_one_too_late_a_bound():
     class Fake:
         steps = 0
         node = ()
+        schedule = Schedule(30)
 
         def step(self):
             self.steps += 1
@@ -184,6 +187,17 @@ def test_a_rival_in_time_has_a_time_and_one_too_late_a_bound():
     keys = [metric.key for metric in distill_rivals._metrics("crop_loop", late, 0.01)]
     assert "distill.street.speedup_over_crop_loop_at_least" in keys
     assert "distill.street.speedup_over_crop_loop" not in keys
+
+
+def test_the_field_is_estimated_only_from_a_crop_that_arrived():
+    arrived = distill_rivals.Finish(9.0, True, 40.0, 500, 9000, 0.018)
+    late = distill_rivals.Finish(60.0, False, 30.0, 200, 9000, 0.3)
+    (speedup, seconds) = distill_rivals._estimate(arrived, late, 25.0)
+    assert seconds.value == pytest.approx(150)
+    assert speedup.value == pytest.approx(6)
+    assert speedup.key.endswith("_estimated")
+    assert distill_rivals._estimate(late, late, 25.0) == []
+    assert distill_rivals._estimate(arrived, arrived, 25.0) == []
 
 
 @pytest.mark.slow
