@@ -1,9 +1,10 @@
 """A rigid vehicle as OmniRe learns it before a frozen background (Chen et al., 2025; DriveStudio's omnire.yaml).
 
-Its initialisation, rates, losses, and its schedule with growth, culls and resets. What differs makes it faster:
-SSIM is `dwgs.optimize.dssim`, the renderer this project's. It has no absolute sums of the projected means'
-gradients, by which OmniRe grows: plain sums are held against the threshold that belongs to them (Kerbl et al.,
-2023). Depth and sky losses are off inside an insertion.
+Its initialisation, rates, losses, and its schedule with growth, culls and resets. Where it differs: SSIM is
+`dwgs.optimize.dssim`, the renderer this project's, both faster on a CPU than what they replace. OmniRe grows by
+absolute sums of the projected means' gradients, which this renderer does not keep: plain sums are held against the
+threshold that belongs to them (Kerbl et al., 2023). Culls by size are left out. So are the losses on depth and
+sky, which are off inside an insertion.
 """
 
 import itertools
