@@ -1,7 +1,8 @@
 """How much sooner the same quality is reached than by the loop that the field ships.
 
-Everyone has the same video, vehicle, trajectory and held-out frames, and is scored alike. Rivals prepare for nothing
-and are judged outside their time; ours decodes and splits the background within its own.
+Everyone has the same video, vehicle, trajectory and held-out frames, and is scored over the same pixels: before the
+background, or who only knows a flat image of that, before the image. Rivals prepare for nothing and are judged outside
+their time; ours decodes and splits the background within its own.
 """
 
 import time
@@ -26,6 +27,7 @@ from dwgs.distill.layers import FrozenBackground
 from dwgs.distill.model import body_bounds, shadow_bounds
 from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, find_sights, prepare_shots
+from dwgs.metrics import psnr
 from dwgs.reconstruct import ReconstructConfig, reconstruct
 from dwgs.scene import Gaussians
 from dwgs.splat import Splats
@@ -100,18 +102,18 @@ def run(street: Street, race: Race, progress: Progress) -> list[Metric]:
         Metric("distill.street.rivals.ours", ours, "s"),
         Metric("distill.street.rivals.our_steps", report["steps"], ""),
     ]
-    sceneries: dict[str, Callable[[], Scenery]] = {
-        "crop_loop": lambda: Crops(learnt, config.threads),
-        "field_loop": lambda: FullFrames(learnt, background, config.threads),
-    }
-    finishes = {}
-    for name, scenery in sceneries.items():
-        node = RigidNode(insertion.vehicle, shadow, bounds, radius, schedule)
-        loop = Loop(node, scenery(), schedule)
-        finish = chase(loop, lambda loop=loop: held_out_psnr(loop, judged), goal, race.budget, progress, name)
-        metrics += _metrics(name, finish, ours)
-        finishes[name] = finish
-    return metrics + _estimate(**finishes, ours=ours)
+
+    def run_rival(name: str, scenery: Scenery, judge: Callable[[Splats], float]) -> Finish:
+        loop = Loop(RigidNode(insertion.vehicle, shadow, bounds, radius, schedule), scenery, schedule)
+        return chase(loop, lambda: judge(loop.splats()), goal, race.budget, progress, name)
+
+    flat = Crops(judged, config.threads)
+    crop = run_rival("crop_loop", Crops(learnt, config.threads), lambda splats: flat_psnr(splats, flat, judged))
+    frames = FullFrames(learnt, background, config.threads)
+    field = run_rival("field_loop", frames, lambda splats: layered_psnr(splats, judged))
+    return (
+        metrics + _metrics("crop_loop", crop, ours) + _metrics("field_loop", field, ours) + _estimate(crop, field, ours)
+    )
 
 
 def chase(loop: Loop, judge: Callable[[], float], goal: float, budget: float, progress: Progress, title: str) -> Finish:
@@ -130,23 +132,29 @@ def chase(loop: Loop, judge: Callable[[], float], goal: float, budget: float, pr
         progress.update(task, completed=min(spent, budget))
         if spent < due:
             continue
-        psnr = judge()
-        if psnr >= goal or spent >= budget:
+        quality = judge()
+        if quality >= goal or spent >= budget:
             break
-        before, due = (spent, psnr), min(spent * FACTOR, budget)
-    is_reached = psnr >= goal
+        before, due = (spent, quality), min(spent * FACTOR, budget)
+    is_reached = quality >= goal
     if is_reached:
-        share = (goal - before[1]) / max(psnr - before[1], 1e-9)
+        share = (goal - before[1]) / max(quality - before[1], 1e-9)
         spent = before[0] + max(share, 0.0) * (spent - before[0])
     steps = int(np.searchsorted(np.cumsum(times), spent)) + 1
     step = float(np.median(times[loop.schedule.coarse_steps :] or [np.nan]))
-    return Finish(spent, is_reached, psnr, min(steps, len(times)), len(loop.node), step)
+    return Finish(spent, is_reached, quality, min(steps, len(times)), len(loop.node), step)
 
 
-def held_out_psnr(loop: Loop, shots: Sequence[Shot]) -> float:
-    """[dB] over the regions, as `distill` reports it."""
+def flat_psnr(splats: Splats, scenery: Scenery, shots: Sequence[Shot]) -> float:
+    """[dB] over the regions, before the flat image: nothing of the background may hide what was learnt without it."""
+    drawn = [scenery.draw(i, 1, splats)[:2] for i in range(len(shots))]
+    masks = [shot.sight.region.supervised for shot in shots]
+    return float(np.mean([psnr(a.numpy(), b.numpy(), mask) for (a, b), mask in zip(drawn, masks, strict=True)]))
+
+
+def layered_psnr(splats: Splats, shots: Sequence[Shot]) -> float:
+    """[dB] over the regions, as `distill` reports it: the background stands where it stands."""
     nothing = Splats.from_gaussians(Gaussians.empty())
-    splats = loop.splats()
     return float(np.mean([score(shot, shot.view, splats, nothing, threads=2)[0].psnr_roi for shot in shots]))
 
 
