@@ -11,6 +11,7 @@ import dwgs  # noqa: F401  (first of all: it settles how torch's threads wait)
 from benchmarks.metric import Metric, machine, write
 
 SplatScene = Literal["car5k", "car20k", "car100k", "full200k", "street1m"]
+Drive = Literal["street", "near", "far", "overtaking", "parked"]
 
 
 @dataclass(frozen=True)
@@ -61,20 +62,52 @@ class Splat(Workload):
 
 @dataclass(frozen=True)
 class Distill(Workload):
-    """What a distillation reaches in the seconds it is given, against what it converges to."""
+    """What a distillation reaches in the seconds it is given, and what the rest of the field needs for that."""
 
     frames: int = 193
     """Length of the clip."""
+    drives: tuple[Drive, ...] = ("street",)
+    """Ways of the vehicle through the street."""
     seconds: tuple[float, ...] = (10, 25, 60)
     """The times, everything but judging included."""
     reference_steps: int = 0
     """Of a fit that counts as converged, and is kept beside the benchmark; 0: what is kept there."""
+    without_shadow: float = 0
+    """Seconds given to one more fit, and to one that may not explain the vehicle's shadow; 0 leaves both out."""
+    backgrounds: tuple[int, ...] = (100_000, 1_000_000, 5_000_000)
+    """Gaussians behind the vehicle whose steps are timed; none: leave that out."""
+    rivals: float = 0
+    """Seconds after which a rival is given up; 0 leaves them out."""
+    rivals_against: float = 25
+    """Seconds of ours: what it reaches then, rivals have to reach."""
+    rivals_steps: int = 30_000
+    """Length of their schedule; what is shorter than the field's own scales all of it."""
+    pandaset: Path | None = None
+    """Folder of PandaSet's sequence 002, whose overtaking car is distilled."""
 
     def measure(self) -> list[Metric]:
-        """Fit, once for each time."""
-        from benchmarks.workloads import distill
+        """Fit, again and again."""
+        from rich.progress import Progress
 
-        return distill.run(self.frames, self.seconds, self.reference_steps)
+        from benchmarks.workloads import distill, distill_pandaset, distill_rivals, distill_step
+        from dwgs.reconstruct import ReconstructConfig
+        from dwgs.street import build_street
+
+        street, metrics = build_street(frames=self.frames), []
+        with Progress() as progress:
+            if self.drives:
+                plan = distill.Plan(self.drives, self.seconds, self.reference_steps, self.without_shadow)
+                metrics += distill.run(street, plan, progress)
+            if self.backgrounds:
+                metrics += distill_step.run(street, self.backgrounds, progress)
+            if self.rivals:
+                race = distill_rivals.Race(
+                    self.rivals_against, self.rivals, self.rivals_steps, ReconstructConfig.draft()
+                )
+                metrics += distill_rivals.run(street, race, progress)
+            if self.pandaset:
+                metrics += distill_pandaset.run(self.pandaset, 30.0, ReconstructConfig(), progress)
+        return metrics
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ The oracle renders the true vehicle with its true light, so nothing here is the 
 
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -23,6 +24,7 @@ ORBIT_DISTANCE = 9.0
 ORBIT_ELEVATION = np.radians(12.0)
 SEEN = 0.02
 """A side counts as seen where its sector holds more than this share of all pixels that taught."""
+T = TypeVar("T")
 
 
 def run(frames: int) -> list[Metric]:
@@ -90,7 +92,7 @@ class ExactBackground:
         return f"street-{self._street.seed}-{self._street.frames}"
 
 
-def follow(fit: Generator, progress: Progress, title: str):
+def follow(fit: Generator[Any, None, T], progress: Progress, title: str) -> T:
     """Run a fit to its end; gives what it returns."""
     task = progress.add_task(title, total=None)
     while True:
