@@ -8,15 +8,12 @@ import tyro
 
 from dwgs.cli.options import ClipOptions
 from dwgs.cli.progress import Bar, decibels, say
-from dwgs.cli.reconstruct import clip_key
+from dwgs.cli.reconstruct import TRAJECTORY_FILE, clip_key
 from dwgs.cli.stage import StageRecord, fingerprint, run_stage, stage_key
 from dwgs.scene import InputError, Insertion, Scene
 
 if TYPE_CHECKING:
     from dwgs.distill import DistillConfig
-
-TRAJECTORY_FILE = "trajectory.json"
-"""Beside the asset: where it drove in the scene it comes from."""
 
 
 @dataclass(frozen=True)

@@ -1,24 +1,38 @@
-"""dwgs reconstruct: the street without its traffic."""
+"""dwgs reconstruct: the street without its traffic, or with all of it."""
 
+import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from dwgs.cli.options import ClipOptions
 from dwgs.cli.progress import Bar, decibels, say
 from dwgs.cli.stage import StageRecord, fingerprint, run_stage
-from dwgs.scene import Scene
+from dwgs.scene import InputError, Insertion, Scene
+
+if TYPE_CHECKING:
+    from dwgs.reconstruct import ReconstructConfig
+
+TRAFFIC = "traffic"
+"""Folder in that of the background with an asset for everybody who moves."""
+TRAJECTORY_FILE = "trajectory.json"
+"""Beside an asset: where it drove in the scene it comes from."""
 
 
 @dataclass(frozen=True)
 class Reconstruct:
-    """Reconstruct the static street as Gaussians, without the traffic; then it is frozen."""
+    """Reconstruct the static street as Gaussians, without the traffic; then it is frozen. Or all of it (--joint)."""
 
     clip: ClipOptions
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the background."""
+    joint: bool = False
+    """All that moves as well, each vehicle an asset in traffic/: every pixel is explained, and scored in
+    report.json and worst.png."""
+    insertion: Path | None = None
+    """Folder of the insertion (inside a conditions folder), if the drive is an edited one and --joint."""
     draft: bool = False
     """Half the Gaussians and a tenth of the steps."""
     seed: int = 0
@@ -27,9 +41,30 @@ class Reconstruct:
     def run(self) -> None:
         """Leave a background folder."""
         scene = self.clip.open()
+        if self.joint:
+            record = self.run_joint(scene)
+            report = record.report
+            say(f"whole images, training PSNR {decibels(report['psnr_train'])}, SSIM {report['ssim_train']:.4f}")
+            say(f"held-out PSNR {decibels(report['psnr_heldout'])}, {report['gaussians']:,} Gaussians")
+            say(f"look at {self.out / 'worst.png'}: frames recorded, rendered, and how they differ")
+            return
+        if self.insertion is not None:
+            raise InputError("an inserted vehicle is reconstructed with --joint only; add it, or leave --insertion out")
         record = reconstruct_stage(scene, self.clip_key(), self.out, self.draft, self.seed)
         say(f"held-out PSNR {decibels(record.report['psnr_heldout'])}, {record.report['gaussians']:,} Gaussians")
         say(f"next: dwgs distill {self.clip.scene} --track ID --background {self.out} -o asset/")
+
+    def run_joint(self, scene: Scene) -> StageRecord:
+        """Leave a background folder, and in it the traffic, a report and a picture of the worst frames."""
+        from dwgs.reconstruct import ReconstructConfig
+
+        insertion, source = None, {"clip": self.clip_key()}
+        if self.insertion is not None:
+            from generator.conditions import read_insertion
+
+            insertion, source["insertion"] = read_insertion(self.insertion), fingerprint(self.insertion)
+        config = ReconstructConfig.draft(self.seed) if self.draft else ReconstructConfig.joint(self.seed)
+        return joint_stage(scene, insertion, source, self.out, config)
 
     def clip_key(self) -> dict:
         """What tells this clip from another."""
@@ -57,3 +92,28 @@ def reconstruct_stage(scene: Scene, source: dict, folder: Path, draft: bool, see
         return report
 
     return run_stage(folder, "reconstruct", {"source": source, "config": asdict(config)}, make)
+
+
+def joint_stage(
+    scene: Scene, insertion: Insertion | None, source: dict, folder: Path, config: "ReconstructConfig"
+) -> StageRecord:
+    """Fit street and traffic of ``scene`` together into ``folder``."""
+    from dwgs.reconstruct import reconstruct_jointly
+
+    def make(folder: Path, progress: Bar) -> dict:
+        from PIL import Image
+
+        from dwgs.formats import asset_folder, background_folder
+        from dwgs.reconstruct.worst import picture_of_worst
+        from dwgs.scene.trajectory_file import write_trajectory
+
+        whole, report = progress.follow(reconstruct_jointly(scene, config, insertion))
+        background_folder.write(whole.background, folder)
+        for actor in whole.actors:
+            asset_folder.write(actor.asset, folder / TRAFFIC / actor.track.id)
+            write_trajectory(actor.track.trajectory, folder / TRAFFIC / actor.track.id / TRAJECTORY_FILE)
+        (folder / "report.json").write_text(json.dumps(report, indent=2))
+        Image.fromarray(picture_of_worst(whole, scene, report)).save(folder / "worst.png")
+        return report
+
+    return run_stage(folder, "reconstruct", {"source": source, "config": asdict(config), "joint": True}, make)

@@ -7,10 +7,10 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from dwgs.cli.distill import TRAJECTORY_FILE
 from dwgs.cli.films import counted, fps, to_uint8
 from dwgs.cli.options import ClipOptions, PlacementOptions
 from dwgs.cli.progress import bar, say
+from dwgs.cli.reconstruct import TRAJECTORY_FILE
 from dwgs.scene import Background, Camera, Frame, Trajectory
 from dwgs.scene.pose import pose
 

@@ -197,7 +197,7 @@ class Together:
 
     def __init__(self, parts: Sequence[SplatParameters]) -> None:
         self._parts, self._bounds = parts, [0, *accumulate(map(len, parts))]
-        self._splats = Splats.cat([part.splats() for part in parts])
+        self._splats = Splats.cat([part._own for part in parts])  # who was together with others keeps his own
         self._splats = Splats(*(getattr(self._splats, name).detach().requires_grad_() for name in NAMES))
         for part, begin in zip(parts, self._bounds, strict=False):
             part._place(self._splats, begin)
@@ -238,12 +238,17 @@ class PoseParameters:
 
     def matrix(self, i: int) -> Tensor:
         """Differentiable ``old_from_new`` [4, 4] of pose ``i``: ``a_from_new = a_from_old @ old_from_new``."""
-        rotation, translation = self.rotations[i], self.translations[i]
-        zero = rotation.new_zeros(())
-        x, y, z = rotation
-        skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3)
-        upper = torch.cat([torch.matrix_exp(skew), translation[:, None]], 1)
-        return torch.cat([upper, upper.new_tensor([[0, 0, 0, 1]])])
+        return self.matrices([i])[0]
+
+    def matrices(self, index: Sequence[int]) -> Tensor:
+        """Those [P, 4, 4] of the poses named."""
+        rotations, translations = self.rotations[index], self.translations[index]
+        x, y, z = rotations.unbind(1)
+        zero = torch.zeros_like(x)
+        skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], 1).view(-1, 3, 3)
+        upper = torch.cat([torch.matrix_exp(skew), translations[:, :, None]], 2)
+        last = upper.new_tensor([[[0, 0, 0, 1]]]).expand(len(upper), -1, -1)
+        return torch.cat([upper, last], 1)
 
     def step(self, factor: float = 1.0) -> None:
         """One step of Adam along the gradients, rates times ``factor``; the gradients are used up."""

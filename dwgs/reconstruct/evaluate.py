@@ -11,7 +11,7 @@ from dwgs.metrics import psnr, ssim
 from dwgs.reconstruct.views import TrainingView
 from dwgs.scene import Background, Camera
 from dwgs.scene.sky import sky_image
-from dwgs.splat import Splats, View, render
+from dwgs.splat import Objects, Splats, View, render
 
 
 def evaluate(background: Background, views: list[TrainingView], heldout: set[int], threads: int = 2) -> dict[str, Any]:
@@ -38,22 +38,28 @@ def evaluate(background: Background, views: list[TrainingView], heldout: set[int
     with ThreadPoolExecutor(threads) as pool:  # a frame for each thread
         frames = list(pool.map(score, sorted(views, key=lambda view: (view.frame.camera_name, view.frame.index))))
     means = {
-        f"{measure}_{group}": _mean([f[measure] for f in frames if f["heldout"] == (group == "heldout")])
+        f"{measure}_{group}": mean([f[measure] for f in frames if f["heldout"] == (group == "heldout")])
         for group in ("heldout", "train")
         for measure in ("psnr", "ssim")
     }
     return means | {"frames": frames}
 
 
-def show_background(background: Background, splats: Splats, camera: Camera, camera_name: str) -> NDArray[np.float32]:
-    """The picture [H, W, 3] of a frozen street, whose Gaussians are ``splats``, from any camera."""
+def show_background(
+    background: Background, splats: Splats, camera: Camera, camera_name: str, objects: Objects | None = None
+) -> NDArray[np.float32]:
+    """The picture [H, W, 3] of a frozen street from any camera.
+
+    Its Gaussians are ``splats``; with ``objects``, the first of these, and others drive before it.
+    """
     with torch.no_grad():
-        rendering = render(splats, View.from_camera(camera), threads=1)
+        rendering = render(splats, View.from_camera(camera), objects=objects, threads=1)
     sky = sky_image(background.sky, camera)
     rgb = rendering.rgb.numpy() + (1 - rendering.alpha.numpy())[..., None] * sky
     return rgb * background.exposure.get(camera_name, np.ones(3, np.float32))
 
 
-def _mean(values: list[float | None]) -> float | None:
+def mean(values: list[float | None]) -> float | None:
+    """Of those that are known; None over nothing."""
     known = [value for value in values if value is not None]
     return round(float(np.mean(known)), 4) if known else None

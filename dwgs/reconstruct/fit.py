@@ -3,7 +3,7 @@
 import time
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,8 +31,9 @@ from dwgs.reconstruct.initialize import initialize
 from dwgs.reconstruct.model import Street
 from dwgs.reconstruct.sky import SHELL_RADIUS
 from dwgs.reconstruct.static_points import static_points
+from dwgs.reconstruct.traffic import Traffic
 from dwgs.reconstruct.views import TrainingView, evenly, read_view, split_frames
-from dwgs.scene import Background, Gaussians, InputError, Scene
+from dwgs.scene import Background, Frame, Gaussians, InputError, Scene
 from dwgs.scene.ground import Ground
 from dwgs.scene.sky import pixel_rays
 
@@ -66,6 +67,37 @@ def reconstruct(scene: Scene, config: ReconstructConfig) -> Generator[Event, Non
         InputError: The scene has no LiDAR, or none that its cameras see.
     """
     begin = time.perf_counter()
+    prepared = yield from prepare(scene, config)
+    teaching, judging, views = prepared.teaching, prepared.judging, prepared.views
+    street = Street(scene, teaching, prepared.gaussians, prepared.sky, Traffic({}, teaching))
+    with ThreadPoolExecutor(config.threads) as pool:
+        views = list(pool.map(lambda i: _imagine_hidden(street, i, views[i], threads=1), range(len(views))))
+    yield from learn(street, views, config)
+
+    background = street.to_background(judging)
+    judged = evenly(views, JUDGED_VIEWS) + [read_view(scene, f, prepared.ground, NO_POINTS) for f in judging]
+    report = evaluate(background, judged, {frame.index for frame in judging}, config.threads)
+    report |= summary(street, background, config) | {"seconds": round(time.perf_counter() - begin, 2)}
+    if report["psnr_heldout"] is not None:
+        yield Evaluated(config.steps, report["psnr_heldout"])
+    return background, report
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What is known of the static street before the first step."""
+
+    teaching: list[Frame]
+    judging: list[Frame]
+    views: list[TrainingView]
+    """Of the frames that teach, traffic hidden."""
+    ground: Ground
+    gaussians: Gaussians
+    sky: NDArray[np.float32]
+
+
+def prepare(scene: Scene, config: ReconstructConfig) -> Generator[Event, None, Prepared]:
+    """Read the frames that teach, and begin with Gaussians on the LiDAR's points; see `reconstruct`."""
     teaching, judging = split_frames(scene)
     if not scene.sweeps:
         raise InputError(
@@ -83,11 +115,12 @@ def reconstruct(scene: Scene, config: ReconstructConfig) -> Generator[Event, Non
             views.append(view)
             yield Preparing("frames", len(views), len(teaching))
     gaussians, sky = initialize(scene, ground, static, views, config)
-    street = Street(scene, teaching, gaussians, sky)
-    with ThreadPoolExecutor(config.threads) as pool:
-        views = list(pool.map(lambda i: _imagine_hidden(street, i, views[i], threads=1), range(len(views))))
-    yield Grown(0, len(street))
+    return Prepared(teaching, judging, views, ground, gaussians, sky)
 
+
+def learn(street: Street, views: list[TrainingView], config: ReconstructConfig) -> Generator[Event, None, None]:
+    """The whole schedule."""
+    yield Grown(0, len(street))
     generator = torch.Generator().manual_seed(config.seed)
     order = view_order(len(views), config.seed)
     growths = [round(part * config.steps) for part in GROWTH]
@@ -102,20 +135,16 @@ def reconstruct(scene: Scene, config: ReconstructConfig) -> Generator[Event, Non
             street.grow(_seedlings(street, views, config.grown, generator, config.threads))
             yield Grown(step, len(street))
 
-    background = street.to_background(judging)
-    judged = evenly(views, JUDGED_VIEWS) + [read_view(scene, frame, ground, NO_POINTS) for frame in judging]
-    report = evaluate(background, judged, {frame.index for frame in judging}, config.threads)
+
+def summary(street: Street, background: Background, config: ReconstructConfig) -> dict[str, Any]:
+    """What a report says of the fit itself."""
     rotation, translation = street.pose_corrections()
-    report |= {
+    return {
         "gaussians": len(background.gaussians),
         "steps": config.steps,
         "pose_correction_rms_deg": round(float(np.degrees(rotation)), 4),
         "pose_correction_rms_m": round(translation, 5),
-        "seconds": round(time.perf_counter() - begin, 2),
     }
-    if report["psnr_heldout"] is not None:
-        yield Evaluated(config.steps, report["psnr_heldout"])
-    return background, report
 
 
 def _loss(street: Street, i: int, view: TrainingView, threads: int) -> Tensor:
@@ -132,7 +161,7 @@ def _loss(street: Street, i: int, view: TrainingView, threads: int) -> Tensor:
         rows, columns = torch.from_numpy(view.depth_pixels).T
         depth = rendering.depth[rows, columns] / torch.from_numpy(view.depths)
         loss = loss + DEPTH_WEIGHT * (depth - 1).abs().mean()
-    return loss
+    return loss + street.traffic.prior(i)
 
 
 def _tensor(view: TrainingView) -> Tensor:
@@ -157,10 +186,10 @@ def _imagine_hidden(street: Street, i: int, view: TrainingView, threads: int) ->
 
 def _seedlings(
     street: Street, views: list[TrainingView], count: int, generator: torch.Generator, threads: int
-) -> Gaussians:
-    """New Gaussians on pixels that are still wrong, one pixel large, as deep as the street is there."""
+) -> dict[int, Gaussians]:
+    """New Gaussians by view, on pixels that are still wrong, one pixel large, as deep as the street is there."""
     chosen = evenly(list(range(len(views))), GROWTH_VIEWS)
-    clouds = []
+    clouds = {}
     for i in chosen:
         view, camera = views[i], street.camera(i)
         with torch.no_grad():
@@ -173,5 +202,5 @@ def _seedlings(
         depths[is_sky] = SHELL_RADIUS
         points = camera.position + depths[:, None] * pixel_rays(camera)[rows, columns]
         radii = depths / camera.K[0, 0]
-        clouds.append(blobs(points, radii, view.pixels[rows, columns] / 255, SEEDLING_OPACITY))
-    return Gaussians.concatenate(clouds)
+        clouds[i] = blobs(points, radii, view.pixels[rows, columns] / 255, SEEDLING_OPACITY)
+    return clouds

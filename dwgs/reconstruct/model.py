@@ -1,17 +1,20 @@
 """The street while it is learnt: Gaussians before a sky, camera poses, exposure."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from dwgs.optimize import PoseParameters, SplatParameters
+from dwgs.optimize import PoseParameters, SplatParameters, Together
 from dwgs.reconstruct.config import RATES
+from dwgs.reconstruct.traffic import Traffic
 from dwgs.scene import Background, Camera, Frame, Gaussians, Scene
 from dwgs.scene.pose import pose
 from dwgs.scene.sky import sky_image
-from dwgs.splat import Rendering, View, render
+from dwgs.splat import Objects, Rendering, View, render
 
 SKY_STRIDE = 4
 """The sky is looked up at every fourth pixel and interpolated: its own pixels are larger."""
@@ -26,11 +29,14 @@ NEAREST = 3.0
 class Street:
     """Everything that a step of the reconstruction changes."""
 
-    def __init__(self, scene: Scene, frames: list[Frame], gaussians: Gaussians, sky: NDArray[np.float32]) -> None:
-        self.frames = frames
+    def __init__(
+        self, scene: Scene, frames: list[Frame], gaussians: Gaussians, sky: NDArray[np.float32], traffic: Traffic
+    ) -> None:
+        self.frames, self.traffic = frames, traffic
         self.sky = sky
         self._positions = torch.tensor(np.array([f.camera.position for f in frames]), dtype=torch.float32)
-        self._splats = SplatParameters(gaussians, RATES, self.step_scale(gaussians))
+        self._static = SplatParameters(gaussians, RATES, self.step_scale(gaussians))
+        self._cloud = Together([self._static, *traffic.parts])
         self._poses = PoseParameters(len(frames), ROTATION_RATE, TRANSLATION_RATE)
         self._cameras = list(scene.frames)
         self._log_gains = torch.zeros(len(self._cameras), 3, requires_grad=len(self._cameras) > 1)
@@ -38,14 +44,15 @@ class Street:
         self._skies: dict[tuple[int, int], Tensor] = {}
 
     def __len__(self) -> int:
-        return len(self._splats)
+        return len(self._cloud.splats())
 
     def show(self, i: int, camera: Camera, threads: int) -> tuple[Tensor, Rendering]:
         """Colours [H, W, 3] of frame ``i`` through its ``camera`` at any resolution, and their rendering."""
         view = View.from_camera(camera)
         # world_from_refined = world_from_recorded @ correction
         refined = View(_inverse(self._poses.matrix(i)) @ view.viewmat, view.intrinsics, view.width, view.height)
-        rendering = render(self._splats.splats(), refined, threads=threads)
+        counts, poses = (len(self._static), *self.traffic.counts), torch.cat([torch.eye(4)[None], self.traffic.poses(i)])
+        rendering = render(self._cloud.splats(), refined, objects=Objects(counts, poses), threads=threads)
         # Plane by plane, as the renderer stores them.
         rgb = rendering.rgb.permute(2, 0, 1) + (1 - rendering.alpha) * self._sky_behind(i, camera)
         name = self.frames[i].camera_name
@@ -55,15 +62,18 @@ class Street:
 
     def step(self, factor: float) -> None:
         """One step along the gradients, rates times ``factor``."""
-        self._splats.step(factor)
+        self._cloud.step(factor)
         self._poses.step(factor)
+        self.traffic.step(factor)
         if self._log_gains.grad is not None:
             self._gain_optimizer.step()
             self._gain_optimizer.zero_grad(set_to_none=True)
 
-    def grow(self, gaussians: Gaussians) -> None:
-        """Add Gaussians."""
-        self._splats.append(gaussians, self.step_scale(gaussians))
+    def grow(self, seedlings: Mapping[int, Gaussians]) -> None:
+        """Add Gaussians that stand in the world at the time of a frame: those in somebody's box become his."""
+        static = Gaussians.concatenate([self.traffic.adopt(i, gaussians) for i, gaussians in seedlings.items()])
+        self._static.append(static, self.step_scale(static))
+        self._cloud = Together([self._static, *self.traffic.parts])
 
     def step_scale(self, gaussians: Gaussians) -> Tensor:
         """Distance of each Gaussian [N] in `UNIT_DISTANCE`: so scaled, one step moves as many pixels."""
@@ -91,7 +101,7 @@ class Street:
         poses = {(f.camera_name, f.index): self.camera(i).world_from_camera for i, f in enumerate(self.frames)}
         poses |= {(f.camera_name, f.index): self.camera_of(f).world_from_camera for f in heldout}
         gains = {name: self._gain(name).detach().numpy() for name in self._cameras[1:]}
-        gaussians = self._splats.to_gaussians()
+        gaussians = self._static.to_gaussians()
         return Background(gaussians[gaussians.opacities >= 1 / 255], self.sky, gains, poses)
 
     def pose_corrections(self) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dwgs.scene import Frame, Scene, Track
+from dwgs.scene import Frame, Scene, Track, Trajectory
 from dwgs.scene.silhouette import box_silhouette
 
 BODY_MARGIN = 0.25
@@ -38,8 +38,9 @@ def moving_mask(scene: Scene, frame: Frame, margin: float = 4.0) -> NDArray[np.b
 
 def moving_tracks(scene: Scene, time: float) -> list[Track]:
     """Tracks that ever move and are recorded at this time [s]."""
-    return [
-        track
-        for track in scene.tracks
-        if track.is_moving and track.trajectory.times[0] - TIME_SLACK <= time <= track.trajectory.times[-1] + TIME_SLACK
-    ]
+    return [track for track in scene.tracks if track.is_moving and is_there(track.trajectory, time)]
+
+
+def is_there(trajectory: Trajectory, time: float) -> bool:
+    """Whether a recorded vehicle may be seen at this time [s]."""
+    return bool(trajectory.times[0] - TIME_SLACK <= time <= trajectory.times[-1] + TIME_SLACK)

@@ -5,7 +5,7 @@ import torch
 from numpy.typing import NDArray
 
 from dwgs.reconstruct.moving_mask import BODY_MARGIN, moving_tracks
-from dwgs.scene import Camera, LidarSweep, Scene
+from dwgs.scene import Camera, LidarSweep, Scene, Track
 from dwgs.scene.lidar import SURFACES
 from dwgs.scene.pose import inverse
 
@@ -25,16 +25,27 @@ def static_points(scene: Scene, sweep: LidarSweep) -> NDArray[np.float32]:
     if sweep.labels is not None:
         kept &= ~np.isin(sweep.labels, FLEETING)
     for track in moving_tracks(scene, sweep.time):
-        half = track.size / 2 + BODY_MARGIN
-        # A moving box sweeps over several metres in one turn: each point meets it at its own time.
-        reach = np.linalg.norm(half) + 3.0
-        centre = track.trajectory.at(sweep.time)[:3, 3]
-        x, y = np.abs(sweep.points[:, :2].T - centre[:2, None])
-        near = np.flatnonzero(kept & (x < reach) & (y < reach))
-        box_from_world = inverse(track.trajectory.at(sweep.times[near]))
-        local = (box_from_world[:, :3, :3] @ sweep.points[near, :, None])[..., 0] + box_from_world[:, :3, 3]
-        kept[near[(np.abs(local) < half).all(1)]] = False
+        kept[hits_in_box(sweep, track, kept)[0]] = False
     return sweep.points[kept]
+
+
+def hits_in_box(
+    sweep: LidarSweep, track: Track, candidates: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Which of the ``candidates`` [P] of a sweep lie in a track's box, each at its own time, and where in its frame.
+
+    The box is grown by `BODY_MARGIN`; indices [I], points [I, 3] [m].
+    """
+    half = track.size / 2 + BODY_MARGIN
+    # A moving box sweeps over several metres in one turn: each point meets it at its own time.
+    reach = np.linalg.norm(half) + 3.0
+    centre = track.trajectory.at(sweep.time)[:3, 3]
+    x, y = np.abs(sweep.points[:, :2].T - centre[:2, None])
+    near = np.flatnonzero(candidates & (x < reach) & (y < reach))
+    box_from_world = inverse(track.trajectory.at(sweep.times[near]))
+    local = (box_from_world[:, :3, :3] @ sweep.points[near, :, None])[..., 0] + box_from_world[:, :3, 3]
+    inside = (np.abs(local) < half).all(1)
+    return near[inside], local[inside]
 
 
 def pixels_of(
