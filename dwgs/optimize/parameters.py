@@ -1,5 +1,6 @@
 """Trainable parameters: the one place, with the codecs, that knows logs and logits."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
@@ -95,6 +96,16 @@ class SplatParameters:
         """Keep only the Gaussians where ``mask`` [N] is True."""
         moments = {name: [moment[mask] for moment in self._moments[name]] for name in NAMES}
         self._install({name: values[mask] for name, values in self._raw.items()}, moments)
+
+    def confine(self, rows: slice, bounds: Tensor, max_scale: float) -> None:
+        """Put the means of some into ``bounds`` [2, 3] (lowest, highest) [m], their scales below ``max_scale`` [m]."""
+        origins, means, strides = (self._raw[name][rows] for name in ("origins", "means", "strides"))
+        low, high = ((bound - origins) / strides for bound in bounds)
+        means.copy_(torch.minimum(torch.maximum(means, low), high))
+        self._raw["scales"][rows].clamp_(max=math.log(max_scale))
+        with torch.no_grad():
+            self._own.means[rows] = origins + strides * means
+            self._own.scales[rows] = self._raw["scales"][rows].exp()
 
     def to_gaussians(self) -> Gaussians:
         """A detached copy, activated."""
@@ -197,7 +208,7 @@ class Together:
 
     def __init__(self, parts: Sequence[SplatParameters]) -> None:
         self._parts, self._bounds = parts, [0, *accumulate(map(len, parts))]
-        self._splats = Splats.cat([part._own for part in parts])  # who was together with others keeps his own
+        self._splats = Splats.cat([part.splats() for part in parts])
         self._splats = Splats(*(getattr(self._splats, name).detach().requires_grad_() for name in NAMES))
         for part, begin in zip(parts, self._bounds, strict=False):
             part._place(self._splats, begin)

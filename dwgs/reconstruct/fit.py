@@ -44,6 +44,8 @@ GROWTH = (0.12, 0.25, 0.40)
 GROWTH_VIEWS = 10
 """How many views are searched for errors."""
 SEEDLING_OPACITY = 0.5
+CONFINE_EVERY = 50
+"""Steps after which traffic is put back into its boxes, and at the end."""
 SSIM_SHARE = 0.2
 """Of the photometric loss; the rest is L1."""
 DEPTH_WEIGHT = 0.05
@@ -130,6 +132,8 @@ def learn(street: Street, views: list[TrainingView], config: ReconstructConfig) 
         loss = _loss(street, i, view, config.threads)
         loss.backward()
         street.step(hold_then_decay(pace.progress))
+        if step % CONFINE_EVERY == 0 or step == config.steps:
+            street.confine()
         yield Step(step, config.steps, float(loss.detach()))
         if step in growths:
             street.grow(_seedlings(street, views, config.grown, generator, config.threads))

@@ -57,13 +57,15 @@ def reconstruct_jointly(
 
     background = street.to_background(prepared.judging)
     provenance = {"scene": scene.name, "config": asdict(config)}
-    whole = Whole(background, tuple(traffic.to_actors(provenance)))
+    whole = Whole(background, tuple(traffic.to_actors(street.groups(), provenance)))
     report = evaluate_whole(whole, scene, {frame.index for frame in prepared.judging}, config.threads)
     for k, vehicle in enumerate(report["actors"]):
         rotation, translation = traffic.corrections(k)
         vehicle |= {"pose_correction_rms_rad": round(rotation, 5), "pose_correction_rms_m": round(translation, 4)}
     report |= summary(street, background, config) | {"seconds": round(time.perf_counter() - begin, 2)}
     report["gaussians_of_actors"] = sum(len(actor.asset.gaussians) for actor in whole.actors)
-    actors = [replace(a, asset=replace(a.asset, quality=q)) for a, q in zip(whole.actors, report["actors"], strict=True)]
+    actors = [
+        replace(a, asset=replace(a.asset, quality=q)) for a, q in zip(whole.actors, report["actors"], strict=True)
+    ]
     yield Evaluated(config.steps, report["psnr_train"])
     return replace(whole, actors=tuple(actors)), report

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from dwgs.optimize import PoseParameters, SplatParameters, Together
+from dwgs.optimize import PoseParameters, SplatParameters
 from dwgs.reconstruct.config import RATES
-from dwgs.reconstruct.traffic import Traffic
+from dwgs.reconstruct.traffic import LARGEST, Group, Traffic
 from dwgs.scene import Background, Camera, Frame, Gaussians, Scene
 from dwgs.scene.pose import pose
 from dwgs.scene.sky import sky_image
@@ -35,8 +35,10 @@ class Street:
         self.frames, self.traffic = frames, traffic
         self.sky = sky
         self._positions = torch.tensor(np.array([f.camera.position for f in frames]), dtype=torch.float32)
-        self._static = SplatParameters(gaussians, RATES, self.step_scale(gaussians))
-        self._cloud = Together([self._static, *traffic.parts])
+        begin = [(Group(-1, len(gaussians)), gaussians), *traffic.begin()]
+        self._groups = [group for group, _ in begin]
+        cloud, step_scale = self._joined(begin)
+        self._splats = SplatParameters(cloud, RATES, step_scale)
         self._poses = PoseParameters(len(frames), ROTATION_RATE, TRANSLATION_RATE)
         self._cameras = list(scene.frames)
         self._log_gains = torch.zeros(len(self._cameras), 3, requires_grad=len(self._cameras) > 1)
@@ -44,15 +46,16 @@ class Street:
         self._skies: dict[tuple[int, int], Tensor] = {}
 
     def __len__(self) -> int:
-        return len(self._cloud.splats())
+        return len(self._splats)
 
     def show(self, i: int, camera: Camera, threads: int) -> tuple[Tensor, Rendering]:
         """Colours [H, W, 3] of frame ``i`` through its ``camera`` at any resolution, and their rendering."""
         view = View.from_camera(camera)
         # world_from_refined = world_from_recorded @ correction
         refined = View(_inverse(self._poses.matrix(i)) @ view.viewmat, view.intrinsics, view.width, view.height)
-        counts, poses = (len(self._static), *self.traffic.counts), torch.cat([torch.eye(4)[None], self.traffic.poses(i)])
-        rendering = render(self._cloud.splats(), refined, objects=Objects(counts, poses), threads=threads)
+        poses = torch.cat([self.traffic.poses(i), torch.eye(4)[None]])  # the street is number -1
+        objects = Objects(tuple(g.count for g in self._groups), poses[[g.owner for g in self._groups]])
+        rendering = render(self._splats.splats(), refined, objects=objects, threads=threads)
         # Plane by plane, as the renderer stores them.
         rgb = rendering.rgb.permute(2, 0, 1) + (1 - rendering.alpha) * self._sky_behind(i, camera)
         name = self.frames[i].camera_name
@@ -62,7 +65,7 @@ class Street:
 
     def step(self, factor: float) -> None:
         """One step along the gradients, rates times ``factor``."""
-        self._cloud.step(factor)
+        self._splats.step(factor)
         self._poses.step(factor)
         self.traffic.step(factor)
         if self._log_gains.grad is not None:
@@ -71,9 +74,32 @@ class Street:
 
     def grow(self, seedlings: Mapping[int, Gaussians]) -> None:
         """Add Gaussians that stand in the world at the time of a frame: those in somebody's box become his."""
-        static = Gaussians.concatenate([self.traffic.adopt(i, gaussians) for i, gaussians in seedlings.items()])
-        self._static.append(static, self.step_scale(static))
-        self._cloud = Together([self._static, *self.traffic.parts])
+        fresh = [group for i, gaussians in seedlings.items() for group in self.traffic.adopt(i, gaussians)]
+        owners = {group.owner for group, _ in fresh}
+        merged = [Gaussians.concatenate([c for g, c in fresh if g.owner == owner]) for owner in sorted(owners)]
+        fresh = [(Group(owner, len(cloud)), cloud) for owner, cloud in zip(sorted(owners), merged, strict=True)]
+        self._groups += [group for group, _ in fresh]
+        self._splats.append(*self._joined(fresh))
+
+    def confine(self) -> None:
+        """Put back whoever strayed from his box."""
+        begin = 0
+        for group in self._groups:
+            if group.owner >= 0 and not group.is_shadow:
+                bounds = torch.from_numpy(self.traffic.bounds(group.owner)).float()
+                self._splats.confine(slice(begin, begin + group.count), bounds, LARGEST)
+            begin += group.count
+
+    def _joined(self, groups: list[tuple[Group, Gaussians]]) -> tuple[Gaussians, Tensor]:
+        """All as one cloud, and how far their means step."""
+        scales = [self.step_scale(c) if g.owner < 0 else self.traffic.step_scale(g) for g, c in groups]
+        return Gaussians.concatenate([cloud for _, cloud in groups]), torch.cat(scales)
+
+    def groups(self) -> list[tuple[Group, Gaussians]]:
+        """All Gaussians as they are now, by who they belong to."""
+        ends = np.cumsum([group.count for group in self._groups])
+        cloud = self._splats.to_gaussians()
+        return [(group, cloud[end - group.count : end]) for group, end in zip(self._groups, ends, strict=True)]
 
     def step_scale(self, gaussians: Gaussians) -> Tensor:
         """Distance of each Gaussian [N] in `UNIT_DISTANCE`: so scaled, one step moves as many pixels."""
@@ -101,7 +127,7 @@ class Street:
         poses = {(f.camera_name, f.index): self.camera(i).world_from_camera for i, f in enumerate(self.frames)}
         poses |= {(f.camera_name, f.index): self.camera_of(f).world_from_camera for f in heldout}
         gains = {name: self._gain(name).detach().numpy() for name in self._cameras[1:]}
-        gaussians = self._static.to_gaussians()
+        gaussians = Gaussians.concatenate([cloud for group, cloud in self.groups() if group.owner < 0])
         return Background(gaussians[gaussians.opacities >= 1 / 255], self.sky, gains, poses)
 
     def pose_corrections(self) -> tuple[float, float]:

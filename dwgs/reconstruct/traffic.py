@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from dwgs.optimize import PoseParameters, SplatParameters
-from dwgs.reconstruct.config import RATES
+from dwgs.optimize import PoseParameters
 from dwgs.reconstruct.discs import discs, sh_of_color
 from dwgs.reconstruct.moving_mask import BODY_MARGIN, is_there
 from dwgs.reconstruct.thinning import VOXEL_PIXELS, thin
@@ -21,10 +20,12 @@ OPACITY, SHADOW_OPACITY = 0.8, 0.05
 """At the start."""
 SHADOW_MARGIN = 1.0
 """How far around a box its shadow is looked for [m]."""
-SHADOW_SPACING, SHADOW_LIFT, SHADOW_GREY = 0.12, 0.04, 0.03
-"""Of the discs on the ground that darken it: between them and above the ground [m], and their colour."""
-LARGEST = 0.15
-"""Largest standard deviation on a body [m]; farther away, where a pixel is larger, a pixel."""
+SHADOW_SPACING, SHADOW_PIXELS = 0.12, 4.0
+"""The discs on the ground that darken it are as far apart as both say [m], [px]."""
+SHADOW_LIFT, SHADOW_GREY = 0.04, 0.03
+"""Of these discs: above the ground [m], and their colour."""
+LARGEST = 0.2
+"""Largest standard deviation on a body [m]: beyond it lies fog."""
 ROTATION_RATE, TRANSLATION_RATE = 2e-4, 1e-3
 """Step sizes of a box [rad], [m]."""
 MAX_ROTATION, MAX_TRANSLATION = 0.05, 0.4
@@ -49,8 +50,18 @@ class Actor:
     """Body and shadow in the frame of the box."""
 
 
+@dataclass(frozen=True)
+class Group:
+    """Gaussians that move as one."""
+
+    owner: int
+    """Number of the mover, -1 for the street."""
+    count: int
+    is_shadow: bool = False
+
+
 class Traffic:
-    """Everybody who moves, K of them: bodies, shadows, and the poses of their boxes in every frame.
+    """Everybody who moves, K of them: how they begin, and the poses of their boxes in every frame.
 
     Args:
         movers: By id, where they drive and what is known of their surface.
@@ -58,49 +69,37 @@ class Traffic:
     """
 
     def __init__(self, movers: Mapping[str, Insertion], frames: list[Frame]) -> None:
-        self.movers, self.frames = dict(movers), frames
+        self.ids, self.movers, self.frames = list(movers), list(movers.values()), frames
+        self._distances = [_nearest(mover, frames) for mover in self.movers]
         instants = sorted({frame.index for frame in frames})  # whose cameras share the corrections
         self._instants = [instants.index(frame.index) for frame in frames]
         self._times = np.array([np.mean([f.camera.time for f in frames if f.index == i]) for i in instants])
-        self._distances = [_nearest(mover, frames) for mover in movers.values()]
-        focal = frames[0].camera.K[0, 0]
-        self._pixels = [distance / focal for distance in self._distances]
-        self.bodies = [self._body(k, mover) for k, mover in enumerate(movers.values())]
-        shadows = [_shadow(mover.size) for mover in movers.values()]
-        self._shadow_counts = [len(shadow) for shadow in shadows]
-        still = replace(RATES, means=0.0)
-        self.shadows = SplatParameters(Gaussians.concatenate(shadows), still) if shadows else None
-        self._poses = PoseParameters(len(self.movers) * len(self._times), ROTATION_RATE, TRANSLATION_RATE)
+        self._poses = PoseParameters(len(movers) * len(instants), ROTATION_RATE, TRANSLATION_RATE)
         self._present = [
-            [k for k, m in enumerate(self.movers.values()) if is_there(m.trajectory, f.camera.time)] for f in frames
+            [k for k, mover in enumerate(self.movers) if is_there(mover.trajectory, f.camera.time)] for f in frames
         ]
+        self._recorded = [self._poses_in(frame, there) for frame, there in zip(frames, self._present, strict=True)]
 
-    def __len__(self) -> int:
-        return len(self.movers)
+    def begin(self) -> list[tuple[Group, Gaussians]]:
+        """Bodies and shadows before the first step."""
+        groups = []
+        for k, mover in enumerate(self.movers):
+            pixel = self._distances[k] / self.frames[0].camera.K[0, 0]
+            body, shadow = _body(mover, VOXEL_PIXELS * pixel), _shadow(mover.size, SHADOW_PIXELS * pixel)
+            groups += [(Group(k, len(body)), body), (Group(k, len(shadow), is_shadow=True), shadow)]
+        return groups
 
-    @property
-    def parts(self) -> list[SplatParameters]:
-        """Bodies one by one, then all shadows."""
-        return [*self.bodies, *([] if self.shadows is None else [self.shadows])]
-
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """[2K] Gaussians of each body, then of each shadow."""
-        return (*map(len, self.bodies), *self._shadow_counts)
+    def step_scale(self, group: Group) -> Tensor:
+        """Distance [N] of a group's Gaussians in `UNIT_DISTANCE`, see `Street`; 0 for shadows, which stay."""
+        return torch.full((group.count,), 0 if group.is_shadow else self._distances[group.owner] / UNIT_DISTANCE)
 
     def poses(self, i: int) -> Tensor:
-        """``world_from_box`` [2K, 4, 4] of bodies and shadows in frame ``i``; a gradient flows to its corrections."""
-        present, camera = self._present[i], self.frames[i].camera
-        absent = camera.world_from_camera.copy()
-        absent[:3, 3] -= BEHIND * absent[:3, 2]
-        known = np.broadcast_to(absent, (len(self), 4, 4)).copy()
-        for k in present:
-            known[k] = list(self.movers.values())[k].trajectory.at(camera.time)
-        poses = torch.from_numpy(known).float()
+        """``world_from_box`` [K, 4, 4] in frame ``i``; a gradient flows to its corrections."""
+        present, poses = self._present[i], self._recorded[i]
         if present:
             corrected = poses[present] @ self._poses.matrices(self._numbers(present, self._instants[i]))
             poses = poses.index_copy(0, torch.tensor(present), corrected)
-        return torch.cat([poses, poses])
+        return poses
 
     def prior(self, i: int) -> Tensor:
         """How unusual the corrections of frame ``i`` are: their squares, and those of their change in time."""
@@ -115,38 +114,44 @@ class Traffic:
         return PRIOR_WEIGHT * total
 
     def step(self, factor: float) -> None:
-        """Move the boxes along the gradients; the Gaussians step with the street."""
+        """Move the boxes along the gradients, rates times ``factor``; the Gaussians step with the street."""
         self._poses.step(factor)
         with torch.no_grad():
             self._poses.rotations.clamp_(-MAX_ROTATION, MAX_ROTATION)
             self._poses.translations.clamp_(-MAX_TRANSLATION, MAX_TRANSLATION)
 
-    def adopt(self, i: int, gaussians: Gaussians) -> Gaussians:
-        """Take those that lie in somebody's box in frame ``i``; gives the others back."""
+    def adopt(self, i: int, gaussians: Gaussians) -> list[tuple[Group, Gaussians]]:
+        """Sort Gaussians that stand in the world in frame ``i`` by whose box they are in; the street's come first."""
         with torch.no_grad():
             poses = self.poses(i).double().numpy()
-        free = np.ones(len(gaussians), bool)
+        owner, groups = np.full(len(gaussians), -1), []
         for k in self._present[i]:
             local = transform_points(inverse(poses[k]), gaussians.means)
-            low, high = self._bounds(k)
-            mine = free & ((local > low) & (local < high)).all(1)
+            low, high = self.bounds(k)
+            mine = (owner < 0) & ((local > low) & (local < high)).all(1)
             if mine.any():
+                owner[mine] = k
                 own = replace(gaussians[mine], means=local[mine].astype(np.float32))
-                self.bodies[k].append(own, torch.full((len(own),), self._stride(k)))
-            free &= ~mine
-        return gaussians[free]
+                groups.append((Group(k, len(own)), own))
+        return [(Group(-1, int((owner < 0).sum())), gaussians[owner < 0]), *groups]
 
-    def to_actors(self, provenance: dict) -> list[Actor]:
-        """Everybody, frozen."""
+    def bounds(self, k: int) -> NDArray[np.float64]:
+        """[2, 3] lowest and highest corner of where a body may lie [m]: hardly in the ground."""
+        half = np.asarray(self.movers[k].size, np.float64) / 2
+        return np.array([-half - (BODY_MARGIN, BODY_MARGIN, 0.02), half + BODY_MARGIN])
+
+    def to_actors(self, groups: list[tuple[Group, Gaussians]], provenance: dict) -> list[Actor]:
+        """Everybody, frozen, with the Gaussians that are his."""
         actors = []
-        shadows = self.shadows.to_gaussians() if self.shadows is not None else Gaussians.empty(1)
-        ends = np.cumsum(self._shadow_counts)
-        for k, (id, mover) in enumerate(self.movers.items()):
-            body, shadow = self.bodies[k].to_gaussians(), shadows[ends[k] - self._shadow_counts[k] : ends[k]]
+        for k, (id, mover) in enumerate(zip(self.ids, self.movers, strict=True)):
+            body, shadow = (
+                Gaussians.concatenate([cloud for g, cloud in groups if g.owner == k and g.is_shadow == is_shadow])
+                for is_shadow in (False, True)
+            )
+            size = np.asarray(mover.size, np.float64)
             clouds = (cloud[cloud.opacities >= 1 / 255] for cloud in (body, shadow))
-            asset = VehicleAsset(*clouds, np.asarray(mover.size), mover.category, provenance)
-            track = Track(id, mover.category, np.asarray(mover.size), self._refined(k, mover.trajectory), True)
-            actors.append(Actor(track, asset))
+            asset = VehicleAsset(*clouds, size, mover.category, provenance)
+            actors.append(Actor(Track(id, mover.category, size, self._refined(k, mover.trajectory), True), asset))
         return actors
 
     def corrections(self, k: int) -> tuple[float, float]:
@@ -169,6 +174,15 @@ class Traffic:
         rotation = torch.matrix_exp(torch.from_numpy(skew)).numpy()
         return Trajectory(every, trajectory.at(every) @ pose(rotation, between[:, 3:]))
 
+    def _poses_in(self, frame: Frame, present: list[int]) -> Tensor:
+        """``world_from_box`` [K, 4, 4] as recorded."""
+        absent = frame.camera.world_from_camera.copy()
+        absent[:3, 3] -= BEHIND * absent[:3, 2]
+        poses = np.broadcast_to(absent, (len(self.movers), 4, 4)).copy()
+        for k in present:
+            poses[k] = self.movers[k].trajectory.at(frame.camera.time)
+        return torch.from_numpy(poses).float()
+
     def _numbers(self, who: list[int], instant: int) -> list[int]:
         """Of the corrections of some of them at an instant."""
         return [k * len(self._times) + instant for k in who]
@@ -177,26 +191,15 @@ class Traffic:
         """At which somebody is there."""
         return sorted({instant for instant, present in zip(self._instants, self._present, strict=True) if k in present})
 
-    def _stride(self, k: int) -> float:
-        return self._distances[k] / UNIT_DISTANCE
 
-    def _bounds(self, k: int) -> NDArray[np.float64]:
-        """[2, 3] lowest and highest corner of where a body may lie [m]: hardly in the ground."""
-        half = np.asarray(list(self.movers.values())[k].size, np.float64) / 2
-        return np.array([-half - (BODY_MARGIN, BODY_MARGIN, 0.02), half + BODY_MARGIN])
-
-    def _body(self, k: int, mover: Insertion) -> SplatParameters:
-        """Discs on what is known of the surface, as dense as the nearest image resolves."""
-        size = VOXEL_PIXELS * self._pixels[k]
-        known = mover.vehicle.points.astype(np.float64)
-        points, sizes = thin(known, np.full(len(known), size))
-        if len(points) == 1:
-            points, sizes = np.repeat(points, 2, 0) + [[0, 0, -0.01], [0, 0, 0.01]], np.repeat(sizes, 2)
-        colors = mover.vehicle.colors[KDTree(known).query(points)[1]] / 255
-        gaussians = replace(discs(points, sizes, OPACITY), sh=sh_of_color(colors))
-        largest = float(max(LARGEST, 2 * self._pixels[k]))
-        strides = torch.full((len(gaussians),), self._stride(k))
-        return SplatParameters(gaussians, RATES, strides, self._bounds(k), (largest,) * 3)
+def _body(mover: Insertion, size: float) -> Gaussians:
+    """Discs on what is known of the surface, ``size`` [m] apart."""
+    known = mover.vehicle.points.astype(np.float64)
+    points, sizes = thin(known, np.full(len(known), size))
+    if len(points) == 1:
+        points, sizes = points + np.array([[0, 0, -0.01], [0, 0, 0.01]]), np.repeat(sizes, 2)
+    colors = mover.vehicle.colors[KDTree(known).query(points)[1]] / 255
+    return replace(discs(points, sizes, OPACITY), sh=sh_of_color(colors))
 
 
 def _nearest(mover: Insertion, frames: list[Frame]) -> float:
@@ -206,13 +209,14 @@ def _nearest(mover: Insertion, frames: list[Frame]) -> float:
     return max(NEAREST, min(distances, default=NEAREST) - mover.size[0] / 2)
 
 
-def _shadow(size: NDArray[np.float64]) -> Gaussians:
-    """Faint dark discs flat on the ground under a box and around it."""
+def _shadow(size: NDArray[np.float64], spacing: float) -> Gaussians:
+    """Faint dark discs flat on the ground under a box and around it, ``spacing`` [m] apart or more."""
+    spacing = max(spacing, SHADOW_SPACING)
     half = np.asarray(size, np.float64)[:2] / 2 + SHADOW_MARGIN
-    x, y = (np.arange(SHADOW_SPACING / 2 - h, h, SHADOW_SPACING) for h in half)
+    x, y = (np.arange(spacing / 2 - h, h, spacing) for h in half)
     grid = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     means = np.column_stack([grid, np.full(len(grid), SHADOW_LIFT - size[2] / 2)]).astype(np.float32)
-    radius = 0.7 * SHADOW_SPACING
+    radius = 0.7 * spacing
     return Gaussians(
         means,
         np.tile(np.float32([1, 0, 0, 0]), (len(means), 1)),
