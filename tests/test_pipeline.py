@@ -81,3 +81,18 @@ def test_the_asset_says_where_it_comes_from(out):
     asset = asset_folder.read(out / "asset")
     assert asset.provenance
     assert asset.quality["psnr_roi_heldout"] > 15
+
+
+def test_the_edited_drive_is_reconstructed_whole_and_renders_with_its_traffic(out):
+    joint = out / "joint"
+    insertion = out / "conditions" / "insertion"
+    main(["reconstruct", str(out / "edited"), "--joint", "--draft", "--insertion", str(insertion), "-o", str(joint)])
+    report = json.loads((joint / "report.json").read_text())
+    assert report["psnr_train"] > 15
+    assert "inserted" in [actor["id"] for actor in report["actors"]]
+    assert (joint / "worst.png").stat().st_size > 0
+    film = out / "whole.mkv"
+    actors = [str(folder) for folder in sorted((joint / "traffic").iterdir())]
+    assert len(actors) == len(report["actors"])
+    main(["render", str(out / "edited"), "--background", str(joint), "--asset", *actors, "-o", str(film)])
+    assert film.stat().st_size > 0

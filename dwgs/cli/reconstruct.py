@@ -1,9 +1,10 @@
 """dwgs reconstruct: the street without its traffic, or with all of it."""
 
 import json
+import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -58,11 +59,13 @@ class Reconstruct:
         """Leave a background folder, and in it the traffic, a report and a picture of the worst frames."""
         from dwgs.reconstruct import ReconstructConfig
 
-        insertion, source = None, {"clip": self.clip_key()}
+        insertion: Insertion | None = None
+        source: dict[str, Any] = {"clip": self.clip_key()}
         if self.insertion is not None:
             from generator.conditions import read_insertion
 
-            insertion, source["insertion"] = read_insertion(self.insertion), fingerprint(self.insertion)
+            insertion = read_insertion(self.insertion)
+            source["insertion"] = fingerprint(self.insertion)
         config = ReconstructConfig.draft(self.seed) if self.draft else ReconstructConfig.joint(self.seed)
         return joint_stage(scene, insertion, source, self.out, config)
 
@@ -99,6 +102,10 @@ def joint_stage(
 ) -> StageRecord:
     """Fit street and traffic of ``scene`` together into ``folder``."""
     from dwgs.reconstruct import reconstruct_jointly
+
+    for track in scene.tracks:
+        if not re.fullmatch(r"\w[\w-]*", track.id):
+            raise InputError(f"the id of a track names its folder: letters, digits, _ and -; rename track '{track.id}'")
 
     def make(folder: Path, progress: Bar) -> dict:
         from PIL import Image

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from dwgs.optimize import PoseParameters, SplatParameters
-from dwgs.reconstruct.config import RATES
+from dwgs.reconstruct.config import NEAREST, RATES, UNIT_DISTANCE
 from dwgs.reconstruct.traffic import LARGEST, Group, Traffic
 from dwgs.scene import Background, Camera, Frame, Gaussians, Scene
 from dwgs.scene.pose import pose
@@ -20,10 +20,6 @@ SKY_STRIDE = 4
 """The sky is looked up at every fourth pixel and interpolated: its own pixels are larger."""
 ROTATION_RATE, TRANSLATION_RATE, GAIN_RATE = 2e-5, 2e-4, 2e-3
 """Step sizes of camera poses [rad], [m] and of the logarithm of exposure."""
-UNIT_DISTANCE = 10.0
-"""The rate of the means holds at this distance from the nearest camera [m], and grows in proportion."""
-NEAREST = 3.0
-"""Nothing moves as if it were nearer than this [m]."""
 
 
 class Street:

@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from dwgs.optimize import PoseParameters
+from dwgs.reconstruct.config import NEAREST, UNIT_DISTANCE
 from dwgs.reconstruct.discs import discs, sh_of_color
 from dwgs.reconstruct.moving_mask import BODY_MARGIN, is_there
 from dwgs.reconstruct.thinning import VOXEL_PIXELS, thin
@@ -26,7 +27,7 @@ SHADOW_LIFT, SHADOW_GREY = 0.04, 0.03
 """Of these discs: above the ground [m], and their colour."""
 LARGEST = 0.2
 """Largest standard deviation on a body [m]: beyond it lies fog."""
-ROTATION_RATE, TRANSLATION_RATE = 2e-4, 1e-3
+ROTATION_RATE, TRANSLATION_RATE = 5e-4, 3e-3
 """Step sizes of a box [rad], [m]."""
 MAX_ROTATION, MAX_TRANSLATION = 0.05, 0.4
 """How far a box may be turned about each axis [rad], and shifted along it [m]."""
@@ -36,8 +37,6 @@ PRIOR_WEIGHT = 1e-5
 """Of the squared corrections in these units, and of how they change from frame to frame."""
 BEHIND = 1e3
 """Whoever is not there stands so far behind the camera [m]."""
-UNIT_DISTANCE, NEAREST = 10.0, 3.0
-"""The rate of the means holds at this distance from the nearest camera [m], see `Street`; none is nearer."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class Traffic:
         return groups
 
     def step_scale(self, group: Group) -> Tensor:
-        """Distance [N] of a group's Gaussians in `UNIT_DISTANCE`, see `Street`; 0 for shadows, which stay."""
+        """Distance [N] of a group's Gaussians in `UNIT_DISTANCE`, 0 for shadows, which stay where they are."""
         return torch.full((group.count,), 0 if group.is_shadow else self._distances[group.owner] / UNIT_DISTANCE)
 
     def poses(self, i: int) -> Tensor:
@@ -144,13 +143,13 @@ class Traffic:
         """Everybody, frozen, with the Gaussians that are his."""
         actors = []
         for k, (id, mover) in enumerate(zip(self.ids, self.movers, strict=True)):
-            body, shadow = (
+            clouds = [
                 Gaussians.concatenate([cloud for g, cloud in groups if g.owner == k and g.is_shadow == is_shadow])
                 for is_shadow in (False, True)
-            )
+            ]
+            body, shadow = (cloud[cloud.opacities >= 1 / 255] for cloud in clouds)
             size = np.asarray(mover.size, np.float64)
-            clouds = (cloud[cloud.opacities >= 1 / 255] for cloud in (body, shadow))
-            asset = VehicleAsset(*clouds, size, mover.category, provenance)
+            asset = VehicleAsset(body, shadow, size, mover.category, provenance)
             actors.append(Actor(Track(id, mover.category, size, self._refined(k, mover.trajectory), True), asset))
         return actors
 
@@ -162,12 +161,16 @@ class Traffic:
         return rotation, translation
 
     def _refined(self, k: int, trajectory: Trajectory) -> Trajectory:
-        """The recorded motion with the corrections of the frames, and between them, linearly."""
+        """From frame to frame that taught, as it was put right there; before and after them as recorded.
+
+        Annotation trembles by centimetres: between two frames a straight line knows better.
+        """
         there = self._instants_of(k)
         numbers = [k * len(self._times) + j for j in there]
         six = torch.cat([self._poses.rotations, self._poses.translations], 1).detach().double()[numbers].numpy()
-        every = np.unique(np.concatenate([trajectory.times, self._times[there]]))
-        between = np.stack([np.interp(every, self._times[there], six[:, axis]) for axis in range(6)], 1)
+        taught, recorded = self._times[there], trajectory.times
+        every = np.union1d(taught, recorded[(recorded < taught[0]) | (recorded > taught[-1])]).astype(np.float64)
+        between = np.stack([np.interp(every, taught, six[:, axis]) for axis in range(6)], 1)
         skew = np.zeros((len(every), 3, 3))
         skew[:, [2, 0, 1], [1, 2, 0]] = between[:, :3]
         skew -= np.swapaxes(skew, 1, 2)
@@ -219,8 +222,8 @@ def _shadow(size: NDArray[np.float64], spacing: float) -> Gaussians:
     radius = 0.7 * spacing
     return Gaussians(
         means,
-        np.tile(np.float32([1, 0, 0, 0]), (len(means), 1)),
-        np.tile(np.float32([radius, radius, 0.01]), (len(means), 1)),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (len(means), 1)),
+        np.tile(np.array([radius, radius, 0.01], np.float32), (len(means), 1)),
         np.full(len(means), SHADOW_OPACITY, np.float32),
         sh_of_color(np.full(means.shape, SHADOW_GREY)),
     )

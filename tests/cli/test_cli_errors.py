@@ -77,3 +77,18 @@ def test_frames_that_are_not_there(refused, frames):
 @pytest.mark.parametrize("size", ["96", "8x8", "0x0", "wide"])
 def test_sizes_that_are_none(refused, size):
     assert "--size" in refused("insert", "street", "--vehicle", "street", "--frames", "0-8", "--size", size)
+
+
+def test_an_insertion_is_reconstructed_jointly_or_not_at_all(refused, tmp_path):
+    assert "--joint" in refused("reconstruct", "street", "--insertion", str(tmp_path), *TOY)
+
+
+def test_a_track_whose_id_is_no_folder(refused, tmp_path, monkeypatch):
+    from dataclasses import replace
+
+    from dwgs.cli.options import Clip
+
+    recorded = Clip("street", frames="0-2", size="96x64").open()
+    tracks = tuple(replace(track, id=f"../{track.id}") for track in recorded.tracks)
+    monkeypatch.setattr(Clip, "open", lambda self: replace(recorded, tracks=tracks))
+    assert "letters, digits" in refused("reconstruct", "street", "--joint", *TOY)
