@@ -106,6 +106,21 @@ def test_what_leaves_its_bounds_is_held_and_finds_back():
     assert (parameters.splats().scales < 0.05).all()
 
 
+def test_some_are_confined_and_the_others_left_alone():
+    gaussians = cloud(20)
+    parameters = SplatParameters(gaussians, RATES)
+    bounds = torch.tensor([[-0.1, -0.2, -0.3], [0.1, 0.2, 0.3]])
+    for _ in range(2):
+        parameters.confine(slice(5, 12), bounds, 0.05)
+        confined = parameters.to_gaussians()
+        assert (np.abs(confined.means[5:12]) <= [0.1 + 1e-6, 0.2 + 1e-6, 0.3 + 1e-6]).all()
+        assert (confined.scales[5:12] <= 0.05 * (1 + 1e-6)).all()
+        others = np.r_[:5, 12:20]
+        np.testing.assert_array_equal(confined.means[others], parameters.splats().means.detach().numpy()[others])
+        assert (np.abs(confined.means[others]) > 0.3).any()
+        pull(parameters)  # from where they are now
+
+
 def test_a_mean_steps_as_far_as_its_scale_says():
     scale = torch.tensor([1.0] * 10 + [100.0] * 10)
     gaussians = cloud(20)
@@ -144,6 +159,7 @@ def test_pose_corrections_begin_as_nothing_and_stay_rigid():
     rotation = poses.matrix(1)[:3, :3]
     torch.testing.assert_close(rotation @ rotation.T, torch.eye(3))
     torch.testing.assert_close(poses.matrix(0), torch.eye(4))
+    torch.testing.assert_close(poses.matrices([1, 0, 1]), torch.stack([poses.matrix(i) for i in (1, 0, 1)]))
 
 
 def test_the_first_step_of_a_process_may_take_two_threads():

@@ -88,9 +88,8 @@ def test_everybody_stays_in_his_box_and_shadows_on_the_ground(fitted):
 
 def test_the_same_drive_gives_the_same_bytes_on_any_number_of_threads(drive, fitted):
     again = follow(reconstruct_jointly(drive, replace(CONFIG, threads=2)))[0]
-    for ours, theirs in ((fitted[0].background.gaussians, again.background.gaussians),) + tuple(
-        (a.asset.gaussians, b.asset.gaussians) for a, b in zip(fitted[0].actors, again.actors, strict=True)
-    ):
+    clouds = [[w.background.gaussians, *(a.asset.gaussians for a in w.actors)] for w in (fitted[0], again)]
+    for ours, theirs in zip(*clouds, strict=True):
         for name in ("means", "quats", "scales", "opacities", "sh"):
             assert getattr(ours, name).tobytes() == getattr(theirs, name).tobytes()
 
@@ -132,8 +131,8 @@ def test_a_vehicle_that_a_generator_put_in_is_an_actor_too():
     assert [actor.track.id for actor in whole.actors] == [INSERTED]
     assert psnr_of_car(whole, edited, edited.frames["front"]) > 25
     assert report["actors"][0]["psnr_train"] > 25
+    short = replace(insertion, trajectory=Trajectory(trajectory.times[:5], poses[:5]))
     with pytest.raises(InputError, match=r"trajectory covers 0.00-0.40 s but frame 5"):
-        short = replace(insertion, trajectory=Trajectory(trajectory.times[:5], poses[:5]))
         follow(reconstruct_jointly(edited, CONFIG, short))
 
 
