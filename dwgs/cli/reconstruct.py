@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from dwgs.reconstruct import ReconstructConfig
 
 TRAFFIC = "traffic"
-"""Folder in that of the background with an asset for everybody who moves."""
+"""Folder in that of the background with an asset for each track that moves."""
 TRAJECTORY_FILE = "trajectory.json"
 """Beside an asset: where it drove in the scene it comes from."""
 
@@ -114,13 +114,13 @@ def joint_stage(
         from dwgs.reconstruct.worst import picture_of_worst
         from dwgs.scene.trajectory_file import write_trajectory
 
-        whole, report = progress.follow(reconstruct_jointly(scene, config, insertion))
-        background_folder.write(whole.background, folder)
-        for actor in whole.actors:
+        reconstruction, report = progress.follow(reconstruct_jointly(scene, config, insertion))
+        background_folder.write(reconstruction.background, folder)
+        for actor in reconstruction.actors:
             asset_folder.write(actor.asset, folder / TRAFFIC / actor.track.id)
             write_trajectory(actor.track.trajectory, folder / TRAFFIC / actor.track.id / TRAJECTORY_FILE)
         (folder / "report.json").write_text(json.dumps(report, indent=2))
-        Image.fromarray(picture_of_worst(whole, scene, report)).save(folder / "worst.png")
+        Image.fromarray(picture_of_worst(reconstruction, scene, report)).save(folder / "worst.png")
         return report
 
     return run_stage(folder, "reconstruct", {"source": source, "config": asdict(config), "joint": True}, make)

@@ -10,8 +10,8 @@ from dwgs.reconstruct.config import ReconstructConfig
 from dwgs.reconstruct.fit import learn, prepare, summary
 from dwgs.reconstruct.model import Street
 from dwgs.reconstruct.movers import find_movers, hits_on_movers, unmask
+from dwgs.reconstruct.reconstruction import Reconstruction, evaluate_whole
 from dwgs.reconstruct.traffic import Traffic
-from dwgs.reconstruct.whole import Whole, evaluate_whole
 from dwgs.scene import Insertion, Scene
 
 INSERTED = "inserted"
@@ -20,14 +20,14 @@ INSERTED = "inserted"
 
 def reconstruct_jointly(
     scene: Scene, config: ReconstructConfig | None = None, insertion: Insertion | None = None
-) -> Generator[Event, None, tuple[Whole, dict[str, Any]]]:
+) -> Generator[Event, None, tuple[Reconstruction, dict[str, Any]]]:
     """Fit the street, its sky, exposure and cameras and all that moves in it, each in the frame of its box.
 
     After OmniRe (Chen et al., arXiv 2408.16760): a scene graph of a static background and rigid nodes, learnt
     from whole images with 0.8 L1 + 0.2 (1 - SSIM) and LiDAR depth, boxes refined in every frame. Its PSNR and
     SSIM on the frames that teach are the geometric consistency that DriveWeaver reports (arXiv 2606.31918):
     what no one world explains lowers them. Parked vehicles are part of the street. People and riders are rigid
-    here, too; what they do with their legs is part of the error. Every 8th instant is held out, and judges.
+    here, too: what their legs do is part of the error. Every 8th instant is held out, and judges.
 
     Args:
         scene: A recorded drive, or a generated video of one: its pixels are taken as they are.
@@ -57,15 +57,11 @@ def reconstruct_jointly(
 
     background = street.to_background(prepared.judging)
     provenance = {"scene": scene.name, "config": asdict(config)}
-    whole = Whole(background, tuple(traffic.to_actors(street.groups(), provenance)))
-    report = evaluate_whole(whole, scene, {frame.index for frame in prepared.judging}, config.threads)
-    for k, vehicle in enumerate(report["actors"]):
-        rotation, translation = traffic.corrections(k)
-        vehicle |= {"pose_correction_rms_rad": round(rotation, 5), "pose_correction_rms_m": round(translation, 4)}
+    reconstruction = Reconstruction(background, tuple(traffic.to_actors(street.groups(), provenance)))
+    report = evaluate_whole(reconstruction, scene, {frame.index for frame in prepared.judging}, config.threads)
     report |= summary(street, background, config) | {"seconds": round(time.perf_counter() - begin, 2)}
-    report["gaussians_of_actors"] = sum(len(actor.asset.gaussians) for actor in whole.actors)
-    actors = [
-        replace(a, asset=replace(a.asset, quality=q)) for a, q in zip(whole.actors, report["actors"], strict=True)
-    ]
+    report["gaussians_of_actors"] = sum(len(actor.asset.gaussians) for actor in reconstruction.actors)
+    scored = zip(reconstruction.actors, report["actors"], strict=True)
+    actors = tuple(replace(actor, asset=replace(actor.asset, quality=quality)) for actor, quality in scored)
     yield Evaluated(config.steps, report["psnr_train"])
-    return replace(whole, actors=tuple(actors)), report
+    return replace(reconstruction, actors=actors), report

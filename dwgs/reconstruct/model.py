@@ -69,7 +69,7 @@ class Street:
             self._gain_optimizer.zero_grad(set_to_none=True)
 
     def grow(self, seedlings: Mapping[int, Gaussians]) -> None:
-        """Add Gaussians that stand in the world at the time of a frame: those in somebody's box become his."""
+        """Add Gaussians that stand in the world at the time of a frame: those in a box become its vehicle's."""
         fresh = [group for i, gaussians in seedlings.items() for group in self.traffic.adopt(i, gaussians)]
         owners = {group.owner for group, _ in fresh}
         merged = [Gaussians.concatenate([c for g, c in fresh if g.owner == owner]) for owner in sorted(owners)]
@@ -78,7 +78,7 @@ class Street:
         self._splats.append(*self._joined(fresh))
 
     def confine(self) -> None:
-        """Put back whoever strayed from his box."""
+        """Put back into their boxes what strayed from them."""
         begin = 0
         for group in self._groups:
             if group.owner >= 0 and not group.is_shadow:
@@ -92,7 +92,7 @@ class Street:
         return Gaussians.concatenate([cloud for _, cloud in groups]), torch.cat(scales)
 
     def groups(self) -> list[tuple[Group, Gaussians]]:
-        """All Gaussians as they are now, by who they belong to."""
+        """All Gaussians as they are now, by what they belong to."""
         ends = np.cumsum([group.count for group in self._groups])
         cloud = self._splats.to_gaussians()
         return [(group, cloud[end - group.count : end]) for group, end in zip(self._groups, ends, strict=True)]

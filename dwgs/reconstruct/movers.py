@@ -1,4 +1,4 @@
-"""Whoever moves, before the first step: the points that the LiDAR has of them, coloured by the frames that saw them."""
+"""What moves, before the first step: the points that the LiDAR has of them, coloured by the frames that saw them."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,7 +16,7 @@ from dwgs.scene.pose import transform_points
 GROUND_BAND = 0.1
 """The lowest part of a box [m] is road as often as tyre; its hits are left out."""
 FEW_POINTS = 60
-"""Whoever has fewer is given the surface of his box as well."""
+"""A track that has fewer is given the surface of its box as well."""
 BOX_SPACING = 0.1
 """Between points on the surface of a box [m]."""
 
@@ -63,7 +63,7 @@ def find_movers(scene: Scene, views: list[TrainingView], hits: Mapping[int, Hits
     Args:
         scene: The drive.
         views: Frames that teach, traffic not hidden.
-        hits: What the sweep of each frame index has of whom.
+        hits: What the sweep of each frame index has of each track.
     """
     movers = {}
     for track in scene.tracks:

@@ -36,12 +36,12 @@ ROTATION_SPREAD, TRANSLATION_SPREAD = 0.01, 0.1
 PRIOR_WEIGHT = 1e-5
 """Of the squared corrections in these units, and of how they change from frame to frame."""
 BEHIND = 1e3
-"""Whoever is not there stands so far behind the camera [m]."""
+"""What is not there stands so far behind the camera [m]."""
 
 
 @dataclass(frozen=True)
 class Actor:
-    """Somebody recorded, as he was reconstructed."""
+    """Something that moves, as it was reconstructed."""
 
     track: Track
     """With the poses that were refined."""
@@ -60,7 +60,7 @@ class Group:
 
 
 class Traffic:
-    """Everybody who moves, K of them: how they begin, and the poses of their boxes in every frame.
+    """All that moves, K of them: how they begin, and the poses of their boxes in every frame.
 
     Args:
         movers: By id, where they drive and what is known of their surface.
@@ -140,7 +140,7 @@ class Traffic:
         return np.array([-half - (BODY_MARGIN, BODY_MARGIN, 0.02), half + BODY_MARGIN])
 
     def to_actors(self, groups: list[tuple[Group, Gaussians]], provenance: dict) -> list[Actor]:
-        """Everybody, frozen, with the Gaussians that are his."""
+        """All of them, frozen, each with its own Gaussians."""
         actors = []
         for k, (id, mover) in enumerate(zip(self.ids, self.movers, strict=True)):
             clouds = [
@@ -149,11 +149,16 @@ class Traffic:
             ]
             body, shadow = (cloud[cloud.opacities >= 1 / 255] for cloud in clouds)
             size = np.asarray(mover.size, np.float64)
-            asset = VehicleAsset(body, shadow, size, mover.category, provenance)
+            rotation, translation = self._corrections(k)
+            quality = {
+                "pose_correction_rms_deg": round(float(np.degrees(rotation)), 4),
+                "pose_correction_rms_m": round(translation, 5),
+            }
+            asset = VehicleAsset(body, shadow, size, mover.category, provenance, quality)
             actors.append(Actor(Track(id, mover.category, size, self._refined(k, mover.trajectory), True), asset))
         return actors
 
-    def corrections(self, k: int) -> tuple[float, float]:
+    def _corrections(self, k: int) -> tuple[float, float]:
         """Root mean square of a box's rotations [rad] and of its translations [m]."""
         there = [k * len(self._times) + j for j in self._instants_of(k)]
         sizes = self._poses.rotations[there].norm(dim=1), self._poses.translations[there].norm(dim=1)
@@ -191,7 +196,7 @@ class Traffic:
         return [k * len(self._times) + instant for k in who]
 
     def _instants_of(self, k: int) -> list[int]:
-        """At which somebody is there."""
+        """At which one of them is there."""
         return sorted({instant for instant, present in zip(self._instants, self._present, strict=True) if k in present})
 
 

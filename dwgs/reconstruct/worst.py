@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dwgs.reconstruct.whole import Whole
+from dwgs.reconstruct.reconstruction import Reconstruction
 from dwgs.scene import Scene
 
 GAP = 6
@@ -14,7 +14,7 @@ FULL_ERROR = 0.25
 """A mean difference of the channels as large as this is drawn white."""
 
 
-def picture_of_worst(whole: Whole, scene: Scene, report: dict[str, Any]) -> NDArray[np.uint8]:
+def picture_of_worst(reconstruction: Reconstruction, scene: Scene, report: dict[str, Any]) -> NDArray[np.uint8]:
     """The frames that `evaluate_whole` calls the worst, uint8 [H, W, 3]: recorded, rendered and their difference.
 
     A row for each, the worst first; the difference is black where there is none.
@@ -23,7 +23,7 @@ def picture_of_worst(whole: Whole, scene: Scene, report: dict[str, Any]) -> NDAr
     rows = []
     for entry in report["worst"]:
         frame = frames[entry["camera"], entry["frame"]]
-        recorded, rendered = frame.pixels, np.clip(whole.show(frame), 0, 1)
+        recorded, rendered = frame.pixels, np.clip(reconstruction.show(frame), 0, 1)
         error = np.abs(rendered - recorded / np.float32(255)).mean(-1, keepdims=True) / FULL_ERROR
         drawn = np.repeat(np.clip(error, 0, 1), 3, -1)
         images = [recorded, *((255 * image + 0.5).astype(np.uint8) for image in (rendered, drawn))]

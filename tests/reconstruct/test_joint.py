@@ -7,7 +7,7 @@ from toy_drive import CAR_COLOR, CAR_SIZE, make_drive
 
 from dwgs.metrics import psnr
 from dwgs.optimize import Evaluated, Grown, Preparing, Step
-from dwgs.reconstruct import INSERTED, ReconstructConfig, Whole, reconstruct, reconstruct_jointly
+from dwgs.reconstruct import INSERTED, ReconstructConfig, Reconstruction, reconstruct, reconstruct_jointly
 from dwgs.reconstruct.movers import box_surface
 from dwgs.reconstruct.worst import picture_of_worst
 from dwgs.scene import InputError, Insertion, Trajectory, VehiclePoints
@@ -32,21 +32,21 @@ def fitted(drive):
     return follow(reconstruct_jointly(drive, CONFIG))
 
 
-def psnr_of_car(whole, scene, frames):
+def psnr_of_car(reconstruction, scene, frames):
     """Over the pixels that show the red car."""
     scores = []
     for frame in frames:
         target = frame.pixels / 255
-        scores.append(psnr(whole.show(frame), target, (frame.pixels == CAR_COLOR).all(-1)))
+        scores.append(psnr(reconstruction.show(frame), target, (frame.pixels == CAR_COLOR).all(-1)))
     return np.mean(scores)
 
 
 def test_a_moving_vehicle_is_explained_where_the_static_street_cannot(drive, fitted):
-    whole, report, _ = fitted
+    reconstruction, report, _ = fitted
     background, _, _ = follow(reconstruct(drive, CONFIG))
     frames = drive.frames["front"]
-    alone = psnr_of_car(Whole(background, ()), drive, frames)
-    assert psnr_of_car(whole, drive, frames) > alone + 15
+    alone = psnr_of_car(Reconstruction(background, ()), drive, frames)
+    assert psnr_of_car(reconstruction, drive, frames) > alone + 15
     assert report["actors"][0]["psnr_train"] > 30
     assert report["psnr_train"] > 29
 
@@ -60,7 +60,7 @@ def test_one_tells_how_it_goes(fitted):
 
 
 def test_the_report_says_where_it_fails(drive, fitted):
-    whole, report, _ = fitted
+    reconstruction, report, _ = fitted
     json.dumps(report, allow_nan=False)
     assert [f["frame"] for f in report["frames"]] == list(range(9))
     assert [f["heldout"] for f in report["frames"]] == [i == 4 for i in range(9)]
@@ -70,7 +70,9 @@ def test_the_report_says_where_it_fails(drive, fitted):
     assert report["cameras"]["front"]["psnr_heldout"] == report["psnr_heldout"] == report["frames"][4]["psnr"]
     (car,) = report["actors"]
     assert (car["id"], car["category"], car["frames"]) == ("car", "Car", 9)
-    picture = picture_of_worst(whole, drive, report)
+    assert reconstruction.actors[0].asset.quality == car
+    assert 0 < car["pose_correction_rms_m"] < 0.1
+    picture = picture_of_worst(reconstruction, drive, report)
     first = report["worst"][0]["frame"]
     height, width = 64, 96
     assert (picture[:height, :width] == drive.frames["front"][first].pixels).all()
@@ -78,7 +80,7 @@ def test_the_report_says_where_it_fails(drive, fitted):
     assert picture.shape[0] > 3 * height
 
 
-def test_everybody_stays_in_his_box_and_shadows_on_the_ground(fitted):
+def test_a_body_stays_in_its_box_and_a_shadow_on_the_ground(fitted):
     (car,) = fitted[0].actors
     assert len(car.asset.body) > 50
     assert (np.abs(car.asset.body.means) < CAR_SIZE / 2 + 0.26).all()
@@ -101,12 +103,12 @@ def test_boxes_that_were_annotated_badly_are_put_right():
     poses = car.trajectory.world_from_vehicle.copy()
     poses[:, :3, 3] += noise
     shaken = replace(drive, tracks=(replace(car, trajectory=Trajectory(car.trajectory.times, poses)),))
-    whole, _, _ = follow(reconstruct_jointly(shaken, replace(CONFIG, steps=250)))
+    reconstruction, _, _ = follow(reconstruct_jointly(shaken, replace(CONFIG, steps=250)))
     taught = [i for i in range(9) if i != 4]
     times = car.trajectory.times[taught]
-    left = (whole.actors[0].track.trajectory.at(times) - car.trajectory.at(times))[:, :3, 3]
+    left = (reconstruction.actors[0].track.trajectory.at(times) - car.trajectory.at(times))[:, :3, 3]
 
-    def scatter(offsets):  # where the box sits on the car is nobody's business
+    def scatter(offsets):  # where the box sits on the car makes no difference
         return np.linalg.norm((offsets - offsets.mean(0))[:, 1:], axis=1).mean()
 
     assert scatter(left) < 0.5 * scatter(noise[taught])
@@ -127,9 +129,9 @@ def test_a_vehicle_that_a_generator_put_in_is_an_actor_too():
     points = box_surface(CAR_SIZE, 0.2).astype(np.float32)
     vehicle = VehiclePoints(points, np.tile(np.uint8([200, 30, 30]), (len(points), 1)))
     insertion = Insertion(vehicle, CAR_SIZE, trajectory)
-    whole, report, _ = follow(reconstruct_jointly(edited, CONFIG, insertion))
-    assert [actor.track.id for actor in whole.actors] == [INSERTED]
-    assert psnr_of_car(whole, edited, edited.frames["front"]) > 25
+    reconstruction, report, _ = follow(reconstruct_jointly(edited, CONFIG, insertion))
+    assert [actor.track.id for actor in reconstruction.actors] == [INSERTED]
+    assert psnr_of_car(reconstruction, edited, edited.frames["front"]) > 25
     assert report["actors"][0]["psnr_train"] > 25
     short = replace(insertion, trajectory=Trajectory(trajectory.times[:5], poses[:5]))
     with pytest.raises(InputError, match=r"trajectory covers 0.00-0.40 s but frame 5"):
@@ -137,8 +139,10 @@ def test_a_vehicle_that_a_generator_put_in_is_an_actor_too():
 
 
 def test_without_traffic_the_street_alone_is_scored():
-    whole, report, _ = follow(reconstruct_jointly(make_drive(frames=5, traffic=False), replace(CONFIG, steps=30)))
-    assert whole.actors == ()
+    reconstruction, report, _ = follow(
+        reconstruct_jointly(make_drive(frames=5, traffic=False), replace(CONFIG, steps=30))
+    )
+    assert reconstruction.actors == ()
     assert report["actors"] == []
     assert report["psnr_train"] > 24
     assert report["frames"][0]["psnr_actors"] is None

@@ -72,13 +72,13 @@ def test_points_of_a_mover_have_the_colours_of_the_frames(drive):
     assert np.median(np.abs(car.vehicle.colors.astype(int) - CAR_COLOR), axis=0).max() == 0
 
 
-def test_who_has_hardly_any_points_is_given_the_surface_of_his_box(drive):
+def test_a_track_with_hardly_any_points_is_given_the_surface_of_its_box(drive):
     car = find_movers(drive, *views_of(drive))["car"]
     assert len(car.vehicle.points) > FEW_POINTS
     assert (np.abs(car.vehicle.points) <= CAR_SIZE / 2 + 0.26).all()
 
 
-def test_who_stands_still_or_is_never_seen_is_no_mover(drive):
+def test_what_stands_still_or_is_never_seen_is_no_mover(drive):
     views, hits = views_of(drive)
     parked = replace(drive, tracks=(replace(drive.tracks[0], is_moving=False),))
     assert find_movers(parked, views, hits) == {}
@@ -109,7 +109,7 @@ def test_seedlings_belong_to_the_box_they_stand_in(drive):
     assert len(shadow) > 100
 
 
-def test_who_is_not_there_stands_behind_the_camera(drive):
+def test_what_is_not_there_stands_behind_the_camera(drive):
     views, hits = views_of(drive)
     movers = find_movers(drive, views, hits)
     whole = movers["car"].trajectory

@@ -18,20 +18,20 @@ from dwgs.scene.silhouette import box_silhouette
 from dwgs.splat import Objects, Splats
 
 FEW_PIXELS = 64
-"""Whoever covers fewer of an image is not scored in it."""
+"""What covers fewer of an image is not scored in it."""
 WORST = 3
 """So many frames of the lowest PSNR are named."""
 
 
 @dataclass(frozen=True)
-class Whole:
+class Reconstruction:
     """All of a drive."""
 
     background: Background
     actors: tuple[Actor, ...]
 
     def show(self, frame: Frame) -> NDArray[np.float32]:
-        """What its camera sees [H, W, 3], with everybody where he is at that time."""
+        """What its camera sees [H, W, 3], with all that moves where it is at that time."""
         time, known = frame.camera.time, self.background.poses.get((frame.camera_name, frame.index))
         camera = frame.camera if known is None else frame.camera.at(known)
         there = [k for k, actor in enumerate(self.actors) if actor.track.trajectory.covers(time)]
@@ -58,7 +58,7 @@ class Whole:
         return [Splats.from_gaussians(cloud) for cloud in clouds]
 
 
-def evaluate_whole(whole: Whole, scene: Scene, heldout: set[int], threads: int = 2) -> dict[str, Any]:
+def evaluate_whole(reconstruction: Reconstruction, scene: Scene, heldout: set[int], threads: int = 2) -> dict[str, Any]:
     """PSNR [dB] and SSIM of whole images, of every frame, every camera and every actor; and where it fails.
 
     ``heldout`` names the frames that judge; all others taught. The keys, JSON values all of them:
@@ -66,14 +66,15 @@ def evaluate_whole(whole: Whole, scene: Scene, heldout: set[int], threads: int =
     - ``psnr_train``, ``ssim_train``, ``psnr_heldout``, ``ssim_heldout``: means over images, None over none;
     - ``cameras``: the same by name;
     - ``frames``: each image, with ``psnr_static`` outside all boxes and ``psnr_actors`` inside them;
-    - ``actors``: each, with its PSNR over all pixels at which its box is the nearest, and how many frames show it;
+    - ``actors``: each, with its PSNR over all pixels at which its box is the nearest, how many frames show it, and
+      what its asset's quality says;
     - ``worst``: the images of the lowest PSNR, the worst first.
     """
-    count = len(whole.actors)
+    count = len(reconstruction.actors)
 
     def score(frame: Frame) -> tuple[dict[str, Any], NDArray[np.float64]]:
-        image, target = np.clip(whole.show(frame), 0, 1), frame.pixels / np.float32(255)
-        owner = whole.owners(frame)
+        image, target = np.clip(reconstruction.show(frame), 0, 1), frame.pixels / np.float32(255)
+        owner = reconstruction.owners(frame)
         squares = np.bincount(owner.ravel() + 1, ((image - target) ** 2).mean(-1).ravel(), count + 1)
         pixels = np.bincount(owner.ravel() + 1, minlength=count + 1)
         return {
@@ -106,7 +107,8 @@ def evaluate_whole(whole: Whole, scene: Scene, heldout: set[int], threads: int =
             f"psnr_{group}": _decibels(*_shown(by_actor[chosen, :, k]))
             for group, chosen in (("train", ~is_heldout), ("heldout", is_heldout))
         }
-        for k, actor in enumerate(whole.actors)
+        | actor.asset.quality
+        for k, actor in enumerate(reconstruction.actors)
     ]
     worst = sorted(frames, key=lambda f: f["psnr"])[:WORST]
     report["worst"] = [{key: f[key] for key in ("camera", "frame", "heldout", "psnr")} for f in worst]
