@@ -85,7 +85,7 @@ def evaluate_whole(reconstruction: Reconstruction, scene: Scene, heldout: set[in
             "ssim": round(ssim(image, target), 4),
             "psnr_static": _decibels(squares[0], pixels[0]),
             "psnr_actors": _decibels(squares[1:].sum(), pixels[1:].sum()),
-        }, np.stack([squares[1:], pixels[1:].astype(np.float64)])
+        }, np.stack([squares[1:], pixels[1:]]).astype(np.float64)
 
     with ThreadPoolExecutor(threads) as pool:  # a frame for each thread
         scored = list(pool.map(score, scene.all_frames()))
