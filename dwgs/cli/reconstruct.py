@@ -117,8 +117,8 @@ def joint_stage(
         reconstruction, report = progress.follow(reconstruct_jointly(scene, config, insertion))
         background_folder.write(reconstruction.background, folder)
         for actor in reconstruction.actors:
-            asset_folder.write(actor.asset, folder / TRAFFIC / actor.track.id)
-            write_trajectory(actor.track.trajectory, folder / TRAFFIC / actor.track.id / TRAJECTORY_FILE)
+            asset_folder.write(actor.asset, folder / TRAFFIC / actor.id)
+            write_trajectory(actor.trajectory, folder / TRAFFIC / actor.id / TRAJECTORY_FILE)
         (folder / "report.json").write_text(json.dumps(report, indent=2))
         Image.fromarray(picture_of_worst(reconstruction, scene, report)).save(folder / "worst.png")
         return report

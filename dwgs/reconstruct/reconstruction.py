@@ -34,9 +34,9 @@ class Reconstruction:
         """What its camera sees [H, W, 3], with all that moves where it is at that time."""
         time, known = frame.camera.time, self.background.poses.get((frame.camera_name, frame.index))
         camera = frame.camera if known is None else frame.camera.at(known)
-        there = [k for k, actor in enumerate(self.actors) if actor.track.trajectory.covers(time)]
+        there = [k for k, actor in enumerate(self.actors) if actor.trajectory.covers(time)]
         clouds = [self._clouds[0], *(self._clouds[k + 1] for k in there)]
-        poses = np.stack([np.eye(4), *(self.actors[k].track.trajectory.at(time) for k in there)])
+        poses = np.stack([np.eye(4), *(self.actors[k].trajectory.at(time) for k in there)])
         objects = Objects(tuple(map(len, clouds)), torch.from_numpy(poses).float())
         return show_background(self.background, Splats.cat(clouds), camera, frame.camera_name, objects)
 
@@ -44,8 +44,8 @@ class Reconstruction:
         """Number of the actor whose box is the nearest at each pixel [H, W], -1 where there is none."""
         owner = np.full((frame.camera.height, frame.camera.width), -1)
         time = frame.camera.time
-        there = [(k, a.track) for k, a in enumerate(self.actors) if a.track.trajectory.covers(time)]
-        boxes = [(k, track.trajectory.at(time), track.size) for k, track in there]
+        there = [(k, actor) for k, actor in enumerate(self.actors) if actor.trajectory.covers(time)]
+        boxes = [(k, actor.trajectory.at(time), actor.asset.size) for k, actor in there]
         for k, world_from_box, size in sorted(
             boxes, key=lambda box: -np.linalg.norm(box[1][:3, 3] - frame.camera.position)
         ):
@@ -97,8 +97,8 @@ def evaluate_whole(reconstruction: Reconstruction, scene: Scene, heldout: set[in
     report["frames"] = frames
     report["actors"] = [
         {
-            "id": actor.track.id,
-            "category": actor.track.category,
+            "id": actor.id,
+            "category": actor.asset.category,
             "gaussians": len(actor.asset.gaussians),
             "frames": int((by_actor[:, 1, k] >= FEW_PIXELS).sum()),
             "pixels": int(by_actor[:, 1, k].sum()),

@@ -14,7 +14,7 @@ from dwgs.reconstruct.config import NEAREST, UNIT_DISTANCE
 from dwgs.reconstruct.discs import discs, sh_of_color
 from dwgs.reconstruct.moving_mask import BODY_MARGIN, is_there
 from dwgs.reconstruct.thinning import VOXEL_PIXELS, thin
-from dwgs.scene import Frame, Gaussians, Insertion, Track, Trajectory, VehicleAsset
+from dwgs.scene import Frame, Gaussians, Insertion, Trajectory, VehicleAsset
 from dwgs.scene.pose import inverse, pose, transform_points
 
 OPACITY, SHADOW_OPACITY = 0.8, 0.05
@@ -43,10 +43,12 @@ BEHIND = 1e3
 class Actor:
     """Something that moves, as it was reconstructed."""
 
-    track: Track
-    """With the poses that were refined."""
+    id: str
+    """Of its track."""
     asset: VehicleAsset
     """Body and shadow in the frame of the box."""
+    trajectory: Trajectory
+    """Of the box, refined."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,7 @@ class Traffic:
                 "pose_correction_rms_m": round(translation, 5),
             }
             asset = VehicleAsset(body, shadow, size, mover.category, provenance, quality)
-            actors.append(Actor(Track(id, mover.category, size, self._refined(k, mover.trajectory), True), asset))
+            actors.append(Actor(id, asset, self._refined(k, mover.trajectory)))
         return actors
 
     def _corrections(self, k: int) -> tuple[float, float]:

@@ -85,7 +85,7 @@ def test_a_body_stays_in_its_box_and_a_shadow_on_the_ground(fitted):
     assert len(car.asset.body) > 50
     assert (np.abs(car.asset.body.means) < CAR_SIZE / 2 + 0.26).all()
     assert np.ptp(car.asset.shadow.means[:, 2]) < 1e-5
-    assert car.track.trajectory.covers([0.0, 0.8]).all()
+    assert car.trajectory.covers([0.0, 0.8]).all()
 
 
 def test_the_same_drive_gives_the_same_bytes_on_any_number_of_threads(drive, fitted):
@@ -106,7 +106,7 @@ def test_boxes_that_were_annotated_badly_are_put_right():
     reconstruction, _, _ = follow(reconstruct_jointly(shaken, replace(CONFIG, steps=250)))
     taught = [i for i in range(9) if i != 4]
     times = car.trajectory.times[taught]
-    left = (reconstruction.actors[0].track.trajectory.at(times) - car.trajectory.at(times))[:, :3, 3]
+    left = (reconstruction.actors[0].trajectory.at(times) - car.trajectory.at(times))[:, :3, 3]
 
     def scatter(offsets):  # where the box sits on the car makes no difference
         return np.linalg.norm((offsets - offsets.mean(0))[:, 1:], axis=1).mean()
@@ -130,7 +130,7 @@ def test_a_vehicle_that_a_generator_put_in_is_an_actor_too():
     vehicle = VehiclePoints(points, np.tile(np.uint8([200, 30, 30]), (len(points), 1)))
     insertion = Insertion(vehicle, CAR_SIZE, trajectory)
     reconstruction, report, _ = follow(reconstruct_jointly(edited, CONFIG, insertion))
-    assert [actor.track.id for actor in reconstruction.actors] == [INSERTED]
+    assert [actor.id for actor in reconstruction.actors] == [INSERTED]
     assert psnr_of_car(reconstruction, edited, edited.frames["front"]) > 25
     assert report["actors"][0]["psnr_train"] > 25
     short = replace(insertion, trajectory=Trajectory(trajectory.times[:5], poses[:5]))
