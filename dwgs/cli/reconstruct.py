@@ -46,6 +46,8 @@ class Reconstruct:
             record = self.run_joint(scene)
             report = record.report
             say(f"whole images, training PSNR {decibels(report['psnr_train'])}, SSIM {report['ssim_train']:.4f}")
+            if report["actors"]:
+                say(f"street {report['psnr_static_train']:.2f} dB, traffic {report['psnr_actors_train']:.2f} dB")
             say(f"held-out PSNR {decibels(report['psnr_heldout'])}, {report['gaussians']:,} Gaussians")
             say(f"look at {self.out / 'worst.png'}: frames recorded, rendered, and how they differ")
             return

@@ -19,8 +19,8 @@ from dwgs.splat import Objects, Splats
 
 FEW_PIXELS = 64
 """What covers fewer of an image is not scored in it."""
-WORST = 3
-"""So many frames of the lowest PSNR are named."""
+WORST = 2
+"""So many frames of the lowest PSNR are named, of those that taught and of those that judged."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,13 @@ def evaluate_whole(reconstruction: Reconstruction, scene: Scene, heldout: set[in
 
     ``heldout`` names the frames that judge; all others taught. The keys, JSON values all of them:
 
-    - ``psnr_train``, ``ssim_train``, ``psnr_heldout``, ``ssim_heldout``: means over images, None over none;
+    - ``psnr_train``, ``ssim_train``, ``psnr_heldout``, ``ssim_heldout``: means over images, None over none; likewise
+      ``psnr_static_train`` and so on, outside all boxes, and ``psnr_actors_train``, inside them;
     - ``cameras``: the same by name;
-    - ``frames``: each image, with ``psnr_static`` outside all boxes and ``psnr_actors`` inside them;
+    - ``frames``: the same of each image;
     - ``actors``: each, with its PSNR over all pixels at which its box is the nearest, how many frames show it, and
       what its asset's quality says;
-    - ``worst``: the images of the lowest PSNR, the worst first.
+    - ``worst``: the images of the lowest PSNR, the worst first: of those that taught, then of those that judged.
     """
     count = len(reconstruction.actors)
 
@@ -110,7 +111,8 @@ def evaluate_whole(reconstruction: Reconstruction, scene: Scene, heldout: set[in
         | actor.asset.quality
         for k, actor in enumerate(reconstruction.actors)
     ]
-    worst = sorted(frames, key=lambda f: f["psnr"])[:WORST]
+    ranked = sorted(frames, key=lambda f: f["psnr"])
+    worst = [f for judges in (False, True) for f in [f for f in ranked if f["heldout"] == judges][:WORST]]
     report["worst"] = [{key: f[key] for key in ("camera", "frame", "heldout", "psnr")} for f in worst]
     return report
 
@@ -124,7 +126,7 @@ def _means(frames: list[dict[str, Any]]) -> dict[str, float | None]:
     return {
         f"{measure}_{group}": mean([f[measure] for f in frames if f["heldout"] == (group == "heldout")])
         for group in ("train", "heldout")
-        for measure in ("psnr", "ssim")
+        for measure in ("psnr", "ssim", "psnr_static", "psnr_actors")
     }
 
 

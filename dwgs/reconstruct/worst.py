@@ -17,7 +17,7 @@ FULL_ERROR = 0.25
 def picture_of_worst(reconstruction: Reconstruction, scene: Scene, report: dict[str, Any]) -> NDArray[np.uint8]:
     """The frames that `evaluate_whole` calls the worst, uint8 [H, W, 3]: recorded, rendered and their difference.
 
-    A row for each, the worst first; the difference is black where there is none.
+    A row for each, in that order; the difference is black where there is none.
     """
     frames = {(frame.camera_name, frame.index): frame for frame in scene.all_frames()}
     rows = []
