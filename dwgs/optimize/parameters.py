@@ -267,3 +267,18 @@ class PoseParameters:
             group["lr"] = group["rate"] * factor
         self._optimizer.step()
         self._optimizer.zero_grad(set_to_none=True)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that further steps depend on."""
+        return {
+            "rotations": self.rotations.detach(),
+            "translations": self.translations.detach(),
+            "optimizer": self._optimizer.state_dict(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Be what `state_dict` gave."""
+        with torch.no_grad():
+            self.rotations.copy_(state["rotations"])
+            self.translations.copy_(state["translations"])
+        self._optimizer.load_state_dict(dict(state["optimizer"]))

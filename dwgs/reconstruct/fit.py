@@ -4,6 +4,7 @@ import time
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dwgs.optimize import (
+    Checkpoint,
     Evaluated,
     Event,
     Grown,
@@ -57,10 +59,13 @@ JUDGED_VIEWS = 16
 """At most so many of the frames that teach are scored at the end."""
 
 
-def reconstruct(scene: Scene, config: ReconstructConfig) -> Generator[Event, None, tuple[Background, dict[str, Any]]]:
+def reconstruct(
+    scene: Scene, config: ReconstructConfig, checkpoint: Checkpoint | None = None
+) -> Generator[Event, None, tuple[Background, dict[str, Any]]]:
     """Fit the static street of ``scene``, step by step.
 
-    Every 8th instant is held out: it never touches colours, geometry or poses, and judges.
+    Every 8th instant is held out: it never touches colours, geometry or poses, and judges. What was interrupted
+    goes on from its ``checkpoint``, to the same bytes.
 
     Returns:
         As the generator's return value, the `Background` and a report of JSON values.
@@ -74,7 +79,7 @@ def reconstruct(scene: Scene, config: ReconstructConfig) -> Generator[Event, Non
     street = Street(scene, teaching, prepared.gaussians, prepared.sky, Traffic({}, teaching))
     with ThreadPoolExecutor(config.threads) as pool:
         views = list(pool.map(lambda i: _imagine_hidden(street, i, views[i], threads=1), range(len(views))))
-    yield from learn(street, views, config)
+    yield from learn(street, views, config, checkpoint)
 
     background = street.to_background(judging)
     judged = evenly(views, JUDGED_VIEWS) + [read_view(scene, f, prepared.ground, NO_POINTS) for f in judging]
@@ -120,14 +125,22 @@ def prepare(scene: Scene, config: ReconstructConfig) -> Generator[Event, None, P
     return Prepared(teaching, judging, views, ground, gaussians, sky)
 
 
-def learn(street: Street, views: list[TrainingView], config: ReconstructConfig) -> Generator[Event, None, None]:
-    """The whole schedule."""
-    yield Grown(0, len(street))
-    generator = torch.Generator().manual_seed(config.seed)
-    order = view_order(len(views), config.seed)
+def learn(
+    street: Street, views: list[TrainingView], config: ReconstructConfig, checkpoint: Checkpoint | None
+) -> Generator[Event, None, None]:
+    """The whole schedule, from where the checkpoint left it."""
+    random, done = torch.Generator().manual_seed(config.seed), 0
+    saved = None if checkpoint is None else checkpoint.load()
+    if saved is not None:
+        done = saved["step"]
+        random.set_state(saved["random"])
+        street.load_state_dict(saved["street"])
+    yield Grown(done, len(street))
     growths = [round(part * config.steps) for part in GROWTH]
-    for pace in count_steps(config.steps):
-        step, i = pace.step, next(order)
+    for pace, i in zip(count_steps(config.steps), view_order(len(views), config.seed), strict=False):
+        step = pace.step
+        if step <= done:
+            continue
         view = views[i].halved() if step <= COARSE * config.steps else views[i]
         loss = _loss(street, i, view, config.threads)
         loss.backward()
@@ -136,8 +149,15 @@ def learn(street: Street, views: list[TrainingView], config: ReconstructConfig) 
             street.confine()
         yield Step(step, config.steps, float(loss.detach()))
         if step in growths:
-            street.grow(_seedlings(street, views, config.grown, generator, config.threads))
+            street.grow(_seedlings(street, views, config.grown, random, config.threads))
             yield Grown(step, len(street))
+        if checkpoint is not None:
+            checkpoint.offer(partial(_state, step, random, street))
+
+
+def _state(step: int, random: torch.Generator, street: Street) -> dict[str, Any]:
+    """Everything that further steps depend on."""
+    return {"step": step, "random": random.get_state(), "street": street.state_dict()}
 
 
 def summary(street: Street, background: Background, config: ReconstructConfig) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from collections.abc import Generator
 from dataclasses import asdict, replace
 from typing import Any
 
-from dwgs.optimize import Evaluated, Event
+from dwgs.optimize import Checkpoint, Evaluated, Event
 from dwgs.reconstruct.config import ReconstructConfig
 from dwgs.reconstruct.fit import learn, prepare, summary
 from dwgs.reconstruct.model import Street
@@ -19,7 +19,10 @@ INSERTED = "inserted"
 
 
 def reconstruct_jointly(
-    scene: Scene, config: ReconstructConfig | None = None, insertion: Insertion | None = None
+    scene: Scene,
+    config: ReconstructConfig | None = None,
+    insertion: Insertion | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> Generator[Event, None, tuple[Reconstruction, dict[str, Any]]]:
     """Fit the street, its sky, exposure and cameras and all that moves in it, each in the frame of its box.
 
@@ -33,6 +36,7 @@ def reconstruct_jointly(
         scene: A recorded drive, or a generated video of one: its pixels are taken as they are.
         config: By default `ReconstructConfig.joint`.
         insertion: The vehicle that the generator put in, if it did: it becomes the actor `INSERTED`.
+        checkpoint: Where an interrupted fit goes on, to the same bytes.
 
     Returns:
         As the generator's return value, what was reconstructed, and a report of JSON values (`evaluate_whole`).
@@ -53,7 +57,7 @@ def reconstruct_jointly(
         movers[INSERTED] = insertion
     traffic = Traffic(movers, prepared.teaching)
     street = Street(scene, prepared.teaching, prepared.gaussians, prepared.sky, traffic)
-    yield from learn(street, views, config)
+    yield from learn(street, views, config, checkpoint)
 
     background = street.to_background(prepared.judging)
     provenance = {"scene": scene.name, "config": asdict(config)}

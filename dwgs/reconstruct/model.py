@@ -1,6 +1,8 @@
 """The street while it is learnt: Gaussians before a sky, camera poses, exposure."""
 
 from collections.abc import Mapping
+from dataclasses import astuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -67,6 +69,27 @@ class Street:
         if self._log_gains.grad is not None:
             self._gain_optimizer.step()
             self._gain_optimizer.zero_grad(set_to_none=True)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that further steps depend on."""
+        return {
+            "splats": self._splats.state_dict(),
+            "poses": self._poses.state_dict(),
+            "traffic": self.traffic.state_dict(),
+            "groups": [astuple(group) for group in self._groups],
+            "log_gains": self._log_gains.detach(),
+            "gain_optimizer": self._gain_optimizer.state_dict(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Be what `state_dict` gave, as grown as that."""
+        self._splats.load_state_dict(state["splats"])
+        self._poses.load_state_dict(state["poses"])
+        self.traffic.load_state_dict(state["traffic"])
+        self._groups = [Group(*group) for group in state["groups"]]
+        with torch.no_grad():
+            self._log_gains.copy_(state["log_gains"])
+        self._gain_optimizer.load_state_dict(dict(state["gain_optimizer"]))
 
     def grow(self, seedlings: Mapping[int, Gaussians]) -> None:
         """Add Gaussians that stand in the world at the time of a frame: those in a box become its vehicle's."""

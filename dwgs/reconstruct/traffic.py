@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -120,6 +121,14 @@ class Traffic:
         with torch.no_grad():
             self._poses.rotations.clamp_(-MAX_ROTATION, MAX_ROTATION)
             self._poses.translations.clamp_(-MAX_TRANSLATION, MAX_TRANSLATION)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that further steps depend on."""
+        return self._poses.state_dict()
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Be what `state_dict` gave."""
+        self._poses.load_state_dict(state)
 
     def adopt(self, i: int, gaussians: Gaussians) -> list[tuple[Group, Gaussians]]:
         """Sort Gaussians that stand in the world in frame ``i`` by whose box they are in; the street's come first."""

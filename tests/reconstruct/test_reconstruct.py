@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from toy_drive import CAR_SIZE, HEIGHT, WIDTH, K, make_drive, paint, repaint
 
-from dwgs.optimize import Grown, Step
+from dwgs.optimize import Checkpoint, Grown, Step
 from dwgs.reconstruct import ReconstructConfig, moving_mask, reconstruct
 from dwgs.reconstruct.evaluate import show_background
 from dwgs.reconstruct.views import split_frames
@@ -15,9 +15,9 @@ from dwgs.splat import Splats, View, render
 CONFIG = ReconstructConfig(steps=30, gaussians=4000, grown=300, threads=1)
 
 
-def fit(scene, config=CONFIG):
+def fit(scene, config=CONFIG, checkpoint=None):
     """(background, report, events)."""
-    run, events = reconstruct(scene, config), []
+    run, events = reconstruct(scene, config, checkpoint), []
     while True:
         try:
             events.append(next(run))
@@ -50,6 +50,19 @@ def test_steps_bring_the_street_nearer_to_frames_that_were_held_out(drive, fitte
 
 def test_the_same_drive_gives_the_same_bytes_on_any_number_of_threads(drive, fitted):
     assert digest(fit(drive, replace(CONFIG, threads=2))[0]) == digest(fitted[0])
+
+
+def test_an_interrupted_fit_goes_on_to_the_same_bytes(drive, fitted, tmp_path, monkeypatch):
+    monkeypatch.setattr("dwgs.optimize.checkpoint.EVERY", 0)
+    for stop in (2, 10, 29):  # before and after it grows
+        interrupted = reconstruct(drive, CONFIG, Checkpoint(tmp_path / "half.pt", "key"))
+        while getattr(next(interrupted), "step", 0) != stop:
+            pass
+        interrupted.close()
+    background, report, events = fit(drive, checkpoint=Checkpoint(tmp_path / "half.pt", "key"))
+    assert [e.step for e in events if isinstance(e, Step)] == [29, 30]
+    assert digest(background) == digest(fitted[0])
+    assert report["psnr_heldout"] == fitted[1]["psnr_heldout"]
 
 
 def test_held_out_frames_never_touch_the_street(drive, fitted):
