@@ -18,8 +18,8 @@ TAIL = 0.1
 """Fraction of the schedule, its end, over which the result is averaged."""
 EVENNESS = (0.5, 2.0)
 """Bounds on the weight that makes every view equally heavy."""
-LEAST_ROUND = 8
-"""Poses settle after every round through the frames, but not after fewer steps than this."""
+SETTLINGS, LEAST_BETWEEN = 3, 8
+"""So many times in a round through the frames poses settle, but not after fewer steps than this."""
 
 
 class Learner:
@@ -52,7 +52,7 @@ class Learner:
         for pace, turn in zip(schedule, view_order(len(learnt), self._config.seed), strict=False):
             if pace.step <= self._step:
                 continue
-            if self._poses is not None and (pace.step - 1) % max(len(learnt), LEAST_ROUND) == 0:
+            if self._poses is not None and (pace.step - 1) % max(len(learnt) // SETTLINGS, LEAST_BETWEEN) == 0:
                 self._poses.settle()
                 self._move()
             loss = self._learn(learnt[turn], watches=pace.step > len(learnt))
