@@ -52,7 +52,7 @@ class Generator(Protocol):
         ...
 
 
-BACKENDS = ("composite",)
+BACKENDS = ("composite", "asset")
 """Names that `backend` knows."""
 
 
@@ -66,6 +66,10 @@ def backend(name: str) -> Generator:
         from generator.composite import CompositeGenerator
 
         return CompositeGenerator()
+    if name == "asset":
+        from generator.asset import AssetGenerator
+
+        return AssetGenerator()
     raise InputError(
-        f"no generator is called '{name}'; there is {', '.join(BACKENDS)} (needs no weights, runs anywhere)"
+        f"no generator is called '{name}'; there is {', '.join(BACKENDS)} (they need no weights and run anywhere)"
     )
