@@ -27,8 +27,6 @@ EDGE = 0.8
 """Occluders end over about this distance [px], as everything does that a lens draws."""
 COLOR_SCALE = 60.0
 """A difference of colour from 0 to 1 counts like this many pixels: votes stop at edges."""
-
-
 CLEARANCE = 0.25
 """Returns lower than this above the vehicle's ground [m] are ground, and hide nothing."""
 

@@ -1,0 +1,111 @@
+"""The table of an evaluation: for people in Markdown, for programs in JSON."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from dwgs.evaluation.columns import COLUMNS, FRECHET_SAMPLES, PAPER, Column, Measured
+from dwgs.metrics.bootstrap import LEVEL, bootstrap_interval
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One system, one measure."""
+
+    value: float | None = None
+    """None where there is none; then `reason` says why."""
+    interval: tuple[float, float] | None = None
+    """Of the bootstrap over sequences; None for one sequence alone."""
+    sequences: int = 0
+    """So many count."""
+    reason: str = ""
+    """Why there is no value; empty where the measure means nothing for the system."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Systems in rows, measures in columns."""
+
+    rows: dict[str, dict[str, Cell]]
+    """System to column's key to cell."""
+
+    def markdown(self) -> str:
+        """Two tables, the paper's measures and the others, and what they mean."""
+        parts = []
+        for columns in (COLUMNS[:PAPER], COLUMNS[PAPER:]):
+            head = [f"{c.title} {'↑' if c.is_better_high else '↓'}" for c in columns]
+            lines = [["system", *head], ["---"] * (1 + len(columns))]
+            lines += [[system, *(text(cells[c.key], c) for c in columns)] for system, cells in self.rows.items()]
+            parts += ["\n".join(f"| {' | '.join(line)} |" for line in lines), ""]
+        parts += [f"- {c.title}: {c.meaning}" for c in COLUMNS]
+        parts += [f"- [a, b]: {LEVEL:.0%} bootstrap interval over sequences; - where a measure means nothing"]
+        reasons = {s: next(iter(cells.values())).reason for s, cells in self.rows.items() if _is_absent(cells)}
+        parts += [f"- {system}: {reason}" for system, reason in reasons.items()]
+        return "\n".join(parts) + "\n"
+
+    def document(self) -> dict[str, Any]:
+        """JSON values; an infinite PSNR is the string "inf"."""
+        return {
+            "columns": [
+                {"key": c.key, "title": c.title, "meaning": c.meaning, "better": "high" if c.is_better_high else "low"}
+                for c in COLUMNS
+            ],
+            "systems": {
+                system: {key: _entry(cell) for key, cell in cells.items()} for system, cells in self.rows.items()
+            },
+        }
+
+
+def tabulate(systems: Mapping[str, Sequence[Measured] | str], unavailable: Mapping[str, str], seed: int = 0) -> Table:
+    """The table of what was measured.
+
+    Args:
+        systems: To each system its sequences, or the reason why it did not run.
+        unavailable: Column's key to the reason why nothing is measured there.
+        seed: Of the bootstrap.
+    """
+    return Table({name: _row(sequences, unavailable, seed) for name, sequences in systems.items()})
+
+
+def text(cell: Cell, column: Column) -> str:
+    """A cell for people."""
+    if cell.value is None:
+        return f"unavailable: {cell.reason}" if cell.reason else "-"
+    words = _number(cell.value, column.digits)
+    if cell.interval is not None and cell.interval[0] != cell.interval[1]:
+        words += f" [{', '.join(_number(end, column.digits) for end in cell.interval)}]"
+    return words
+
+
+def _row(sequences: Sequence[Measured] | str, unavailable: Mapping[str, str], seed: int) -> dict[str, Cell]:
+    if isinstance(sequences, str):
+        return {c.key: Cell(reason=sequences) for c in COLUMNS}
+    cells = {}
+    for column in COLUMNS:
+        counted = [m for m in sequences if column.has(m)]
+        if column.key in unavailable:
+            cells[column.key] = Cell(reason=unavailable[column.key])
+        elif counted:
+            samples = FRECHET_SAMPLES if column.is_frechet else 1000
+            interval = bootstrap_interval(counted, column.pool, samples, seed)
+            cells[column.key] = Cell(column.pool(counted), interval, len(counted))
+        else:
+            cells[column.key] = Cell()
+    return cells
+
+
+def _is_absent(cells: Mapping[str, Cell]) -> bool:
+    return len({cell.reason for cell in cells.values()}) == 1 and not any(c.sequences for c in cells.values())
+
+
+def _number(value: float, digits: int) -> str:
+    return "∞" if math.isinf(value) else f"{value:.{digits}f}"
+
+
+def _entry(cell: Cell) -> dict[str, Any]:
+    if cell.value is None:
+        return {"value": None, "reason": cell.reason or "means nothing here"}
+    numbers = [cell.value, *(cell.interval or ())]
+    value, *interval = ["inf" if math.isinf(x) else round(x, 6) for x in numbers]
+    return {"value": value, "interval": interval or None, "sequences": cell.sequences}
