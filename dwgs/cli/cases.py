@@ -47,9 +47,8 @@ def read_cases(names: Sequence[str], defaults: Clip) -> list[Case]:
             )
     twice = {case.name for case in cases if sum(other.name == case.name for other in cases) > 1}
     if twice or not cases:
-        raise InputError(
-            f"an evaluation is of some cases, each once; named twice: {', '.join(sorted(twice)) or 'none'}"
-        )
+        named = ", ".join(sorted(twice)) or "none"
+        raise InputError(f"an evaluation is of at least one case, and of each once; named twice: {named}")
     return cases
 
 
@@ -69,10 +68,10 @@ def _case(entry: dict[str, Any], path: Path, number: int, defaults: Clip) -> Cas
     where = f"case {number} of '{path}'"
     known = {f.name for noun in (Clip, VehicleChoice, Placement) for f in fields(noun)}
     strange = sorted(set(entry) - known)
-    if strange or not {"scene", "vehicle"} <= set(entry):
-        raise InputError(
-            f"{where} has scene, vehicle and options of dwgs insert; {strange or 'one of the two'} is not so"
-        )
+    if strange:
+        raise InputError(f"{where} has options of dwgs insert as keys, '{strange[0]}' is none")
+    if not {"scene", "vehicle"} <= set(entry):
+        raise InputError(f"{where} lacks its scene or its vehicle")
     texts = {key: str(entry[key]) for key in ("scene", "vehicle", "frames", "size", "unit", "forward") if key in entry}
     try:
         numbers = {key: float(entry[key]) for key in ("ahead", "left", "speed") if key in entry}

@@ -5,7 +5,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import load_file, save_file
 
 from dwgs.cli.cases import Case
 from dwgs.cli.condition import condition_stage, insertion_key
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from dwgs.evaluation import Measured, Subject
     from dwgs.metrics.network import NetworkFile
 
-FEATURES = "features.npz"
+FEATURES = "features.safetensors"
 """Beside a record of measures: what networks saw in the video."""
 
 
@@ -151,7 +152,7 @@ class Trial:
             if "lpips" in self.networks:
                 pairs = (self._pixels(scene) for scene in (video, self.subject.recorded))
                 values["lpips"] = Network(self.networks["lpips"]).mean_distance(*pairs)
-            np.savez(draft / FEATURES, **self._features(video))
+            save_file(self._features(video), draft / FEATURES)
             return values
 
         folder = self.folder / system.name / "measured"
@@ -159,25 +160,23 @@ class Trial:
         inputs = {"source": self.source, "video": key, "networks": hashes}
         record = run_stage(folder, "measure", inputs, make)
         reference = self._reference(hashes)
-        with np.load(folder / FEATURES, allow_pickle=False) as features:
-            pairs = {name: (features[name], reference[name]) for name in features.files}
-        return Measured(record.report | own, pairs)
+        features = load_file(folder / FEATURES)
+        return Measured(record.report | own, {name: (features[name], reference[name]) for name in features})
 
-    def _reference(self, hashes: dict[str, str]) -> dict[str, np.ndarray]:
+    def _reference(self, hashes: dict[str, str]) -> dict[str, NDArray]:
         """What networks see in the recorded video."""
 
         def make(draft: Path, progress: Bar) -> dict:
-            np.savez(draft / FEATURES, **self._features(self.subject.recorded))
+            save_file(self._features(self.subject.recorded), draft / FEATURES)
             return {}
 
         if not {"fid", "fvd"} & set(hashes):
             return {}
         folder = self.folder / "features"
         run_stage(folder, "features", {"recording": self.recording, "networks": hashes}, make)
-        with np.load(folder / FEATURES, allow_pickle=False) as features:
-            return {name: features[name] for name in features.files}
+        return load_file(folder / FEATURES)
 
-    def _features(self, scene: Scene) -> dict[str, np.ndarray]:
+    def _features(self, scene: Scene) -> dict[str, NDArray]:
         from dwgs.metrics.network import Network
 
         features = {}

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dwgs.metrics.frechet import frechet_distance
+from dwgs.metrics.network import CLIP_FRAMES, CLIP_STRIDE
 
 FRECHET_SAMPLES = 200
 """Resamplings behind the interval of a Frechet distance: each costs a singular value decomposition."""
@@ -41,9 +42,9 @@ class Column:
     """Option that names the network it needs, if it needs one."""
 
     def has(self, measured: Measured) -> bool:
-        """Whether a sequence counts."""
+        """Whether a sequence counts: of one feature alone no spread is known."""
         if self.is_frechet:
-            return self.key in measured.features and all(len(f) for f in measured.features[self.key])
+            return all(len(f) >= 2 for f in measured.features.get(self.key, ((),)))
         return self.key in measured.values
 
     def pool(self, sequences: Sequence[Measured]) -> float:
@@ -56,7 +57,7 @@ class Column:
 
 COLUMNS = (
     Column("fid", "FID", "Frechet distance of image features, edited from recorded", False, 2, True, "--fid"),
-    Column("fvd", "FVD", "the same of clips of 16 frames, 8 apart", False, 2, True, "--fvd"),
+    Column("fvd", "FVD", f"the same of clips of {CLIP_FRAMES} frames, {CLIP_STRIDE} apart", False, 2, True, "--fvd"),
     Column("lpips", "LPIPS", "perceptual distance of edited from recorded frames", False, 3, weights="--lpips"),
     Column("joint_psnr", "recon PSNR", "[dB] of a joint reconstruction of the edited video", True, 2),
     Column("joint_ssim", "recon SSIM", "of the same", True, 3),
@@ -64,11 +65,16 @@ COLUMNS = (
     Column("oracle_ssim", "SSIM", "of the same", True, 3),
     Column("kept", "kept", "[%] of the recorded pixels outside the reactive masks, bit for bit", True, 2),
     Column(
-        "point_error", "points", "[levels of 255] colours on the vehicle off its points', light allowed for", False, 1
+        "point_error",
+        "points",
+        "[levels of 255] error of telling the points' colours from the video",
+        False,
+        1,
     ),
     Column("flicker", "flicker", "[levels of 255] a point of the vehicle off its mean before and after", False, 2),
     Column("distill_psnr", "distilled", "[dB] held-out ROI PSNR of the distilled vehicle: how much it is one", True, 2),
 )
-"""All of them. The first five are the paper's; the others need no weights."""
+"""All of them. The first five are the paper's; the others need no weights. What the last four give for the true
+vehicle is the mark to reach, not zero: light changes colours, and pixels mix them."""
 PAPER = 5
 """So many are the paper's."""

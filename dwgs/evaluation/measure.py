@@ -42,10 +42,10 @@ def measure(subject: Subject, edited: Scene, on_progress: Callable[[int, int], N
         kept += int((pixels == before.pixels).all(-1)[~mask].sum())
         outside += int((~mask).sum())
         if truths:
-            compared = mask | truths[i].reactive_mask
-            images = (x / np.float32(255) for x in (pixels, truths[i].pixels))
+            shown = truths[i].reactive_mask
+            compared = mask if shown is None else mask | shown
             if compared.any():
-                image, truth = images
+                image, truth = (x / np.float32(255) for x in (pixels, truths[i].pixels))
                 scores.append((psnr(image, truth, compared), ssim(image, truth, compared)))
         if on_progress:
             on_progress(i + 1, len(frames))

@@ -38,22 +38,15 @@ def plot(table: Table, path: Path) -> None:
 
 def _panel(axes: Axes, column: Column, cells: dict[str, Cell]) -> None:
     for row, (system, cell) in enumerate(cells.items()):
-        if not _is_finite(cell):
-            axes.text(
-                0.5,
-                row,
-                _remark(cell),
-                transform=axes.get_yaxis_transform(),
-                ha="center",
-                va="center",
-                color="#8a939c",
-                size=7,
-            )
+        if cell.value is None or not math.isfinite(cell.value):
+            words = "exact" if cell.value is not None else "unavailable" if cell.reason else ""
+            place = axes.get_yaxis_transform()
+            axes.text(0.5, row, words, transform=place, ha="center", va="center", color=GREY, size=7)
             continue
         color = DISTILLED if system.endswith("-D") else PLAIN
         if cell.interval is not None and all(map(math.isfinite, cell.interval)):
             axes.plot(cell.interval, (row, row), color=color, linewidth=2, alpha=0.4, solid_capstyle="butt")
-        axes.plot(cell.value, row, "o", color=color, markersize=5)
+        axes.plot([cell.value], [row], "o", color=color, markersize=5)
     axes.set_yticks(range(len(cells)), list(cells))
     axes.set_ylim(len(cells) - 0.5, -0.5)
     axes.set_title(f"{column.title} {'↑' if column.is_better_high else '↓'}", size=9, color=INK, loc="left")
@@ -66,9 +59,3 @@ def _panel(axes: Axes, column: Column, cells: dict[str, Cell]) -> None:
 
 def _is_finite(cell: Cell) -> bool:
     return cell.value is not None and math.isfinite(cell.value)
-
-
-def _remark(cell: Cell) -> str:
-    if cell.value is not None:
-        return "exact"
-    return "unavailable" if cell.reason else ""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from dwgs.evaluation.columns import COLUMNS, FRECHET_SAMPLES, PAPER, Column, Measured
@@ -29,6 +29,8 @@ class Table:
 
     rows: dict[str, dict[str, Cell]]
     """System to column's key to cell."""
+    absent: dict[str, str] = field(default_factory=dict)
+    """System that did not run to the reason; its row is empty."""
 
     def markdown(self) -> str:
         """Two tables, the paper's measures and the others, and what they mean."""
@@ -36,13 +38,23 @@ class Table:
         for columns in (COLUMNS[:PAPER], COLUMNS[PAPER:]):
             head = [f"{c.title} {'↑' if c.is_better_high else '↓'}" for c in columns]
             lines = [["system", *head], ["---"] * (1 + len(columns))]
-            lines += [[system, *(text(cells[c.key], c) for c in columns)] for system, cells in self.rows.items()]
+            lines += [[system, *(self._text(system, column) for column in columns)] for system in self.rows]
             parts += ["\n".join(f"| {' | '.join(line)} |" for line in lines), ""]
         parts += [f"- {c.title}: {c.meaning}" for c in COLUMNS]
-        parts += [f"- [a, b]: {LEVEL:.0%} bootstrap interval over sequences; - where a measure means nothing"]
-        reasons = {s: next(iter(cells.values())).reason for s, cells in self.rows.items() if _is_absent(cells)}
-        parts += [f"- {system}: {reason}" for system, reason in reasons.items()]
+        parts.append(f"- [a, b]: {LEVEL:.0%} bootstrap interval over sequences; - where a measure means nothing")
+        parts += [f"- {system} is unavailable: {reason}" for system, reason in self.absent.items()]
         return "\n".join(parts) + "\n"
+
+    def _text(self, system: str, column: Column) -> str:
+        """A cell for people."""
+        cell = self.rows[system][column.key]
+        if cell.value is None:
+            words = "unavailable" if system in self.absent else "-"
+            return f"unavailable: {cell.reason}" if cell.reason else words
+        words = _number(cell.value, column.digits)
+        if cell.interval is not None and cell.interval[0] != cell.interval[1]:
+            words += f" [{', '.join(_number(end, column.digits) for end in cell.interval)}]"
+        return words
 
     def document(self) -> dict[str, Any]:
         """JSON values; an infinite PSNR is the string "inf"."""
@@ -54,6 +66,7 @@ class Table:
             "systems": {
                 system: {key: _entry(cell) for key, cell in cells.items()} for system, cells in self.rows.items()
             },
+            "absent": self.absent,
         }
 
 
@@ -65,22 +78,12 @@ def tabulate(systems: Mapping[str, Sequence[Measured] | str], unavailable: Mappi
         unavailable: Column's key to the reason why nothing is measured there.
         seed: Of the bootstrap.
     """
-    return Table({name: _row(sequences, unavailable, seed) for name, sequences in systems.items()})
+    absent = {name: reason for name, reason in systems.items() if isinstance(reason, str)}
+    ran = {name: () if isinstance(sequences, str) else sequences for name, sequences in systems.items()}
+    return Table({name: _row(sequences, unavailable, seed) for name, sequences in ran.items()}, absent)
 
 
-def text(cell: Cell, column: Column) -> str:
-    """A cell for people."""
-    if cell.value is None:
-        return f"unavailable: {cell.reason}" if cell.reason else "-"
-    words = _number(cell.value, column.digits)
-    if cell.interval is not None and cell.interval[0] != cell.interval[1]:
-        words += f" [{', '.join(_number(end, column.digits) for end in cell.interval)}]"
-    return words
-
-
-def _row(sequences: Sequence[Measured] | str, unavailable: Mapping[str, str], seed: int) -> dict[str, Cell]:
-    if isinstance(sequences, str):
-        return {c.key: Cell(reason=sequences) for c in COLUMNS}
+def _row(sequences: Sequence[Measured], unavailable: Mapping[str, str], seed: int) -> dict[str, Cell]:
     cells = {}
     for column in COLUMNS:
         counted = [m for m in sequences if column.has(m)]
@@ -90,13 +93,11 @@ def _row(sequences: Sequence[Measured] | str, unavailable: Mapping[str, str], se
             samples = FRECHET_SAMPLES if column.is_frechet else 1000
             interval = bootstrap_interval(counted, column.pool, samples, seed)
             cells[column.key] = Cell(column.pool(counted), interval, len(counted))
+        elif any(column.key in m.features for m in sequences):
+            cells[column.key] = Cell(reason="no sequence is long enough")
         else:
             cells[column.key] = Cell()
     return cells
-
-
-def _is_absent(cells: Mapping[str, Cell]) -> bool:
-    return len({cell.reason for cell in cells.values()}) == 1 and not any(c.sequences for c in cells.values())
 
 
 def _number(value: float, digits: int) -> str:

@@ -27,4 +27,4 @@ def frechet_distance(features: NDArray, reference: NDArray) -> float:
 def _covariance_root(features: NDArray[np.float64]) -> NDArray[np.float64]:
     """R [min(N, D), D] with ``R^T R`` the covariance of features [N, D]."""
     centred = (features - features.mean(0)) / np.sqrt(len(features) - 1)
-    return centred if len(centred) <= centred.shape[1] else np.linalg.qr(centred, mode="r")
+    return centred if len(centred) <= centred.shape[1] else np.asarray(np.linalg.qr(centred, mode="r"))

@@ -12,6 +12,7 @@ Switches that the published files have (``return_features``, ``rescale``, ``resi
 import hashlib
 import io
 import re
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -71,7 +72,9 @@ class Network:
         self._device = "cuda" if torch.cuda.is_available() else "cpu"
         self._path = file.path
         try:
-            module = torch.jit.load(io.BytesIO(content), map_location=self._device)
+            with warnings.catch_warnings():  # torch would rather have another format, but these networks come in this
+                warnings.simplefilter("ignore", DeprecationWarning)
+                module = torch.jit.load(io.BytesIO(content), map_location=self._device)
         except RuntimeError as error:
             raise InputError(f"'{file.path}' is not TorchScript ({_first_line(error)}); export it again") from None
         self._module = module.eval()

@@ -15,6 +15,8 @@ WATCHED = 4000
 """Points of a vehicle that are followed through the video."""
 CASTERS = 40_000
 """Points that hide what is behind them."""
+CELL = 2.5
+"""Points are hidden cell by cell, so many spacings wide: random points leave no such cell empty."""
 BEHIND = 0.2
 """A point this much behind the front of its cell [m] lies on another side."""
 FACING = 0.25
@@ -49,18 +51,20 @@ def skin_colors(
 
 
 def point_error(colors: NDArray, own: NDArray) -> float:
-    """Mean difference [levels] of shown colours [T, P, 3] from the points' ``own`` [P, 3]; NaN where none is seen.
+    """How badly shown colours [T, P, 3] tell the points' ``own`` [P, 3]: RMS error [levels]; NaN where none is seen.
 
-    Each frame's light is allowed for by one gain for each channel: what remains is a colour in the wrong place.
+    In each frame and channel the own colours are predicted from the shown ones by the best line, which allows for
+    light and haze. Colours in the wrong place predict nothing, and neither does a vehicle of one colour: the error is
+    then the spread of the own colours.
     """
     errors = []
-    for shown in colors:
-        seen = np.isfinite(shown[:, 0])
+    for frame in colors:
+        seen = np.isfinite(frame[:, 0])
         if seen.sum() >= FEWEST:
-            shown, given = shown[seen].astype(np.float64), own[seen].astype(np.float64)
-            gain = (shown * given).sum(0) / np.maximum((given**2).sum(0), 1e-9)
-            errors.append(np.abs(shown - gain * given).mean())
-    return float(np.mean(errors)) if errors else np.nan
+            shown, given = (c[seen] - c[seen].mean(0, dtype=np.float64) for c in (frame, own))
+            slope = (shown * given).sum(0) / np.maximum((shown**2).sum(0), 1e-9)
+            errors.append(((given - slope * shown) ** 2).mean())
+    return float(np.sqrt(np.mean(errors))) if errors else np.nan
 
 
 def flicker(colors: NDArray) -> float:
@@ -91,7 +95,7 @@ def _seen(
     if not inside.any():
         return inside, uv
     cast_uv, cast_depth = _project(camera, transform_points(camera_from_vehicle, casters))
-    cell = max(1.0, 1.5 * spacing * camera.K[0, 0] / float(depth[inside].min()))
+    cell = max(1.0, CELL * spacing * camera.K[0, 0] / float(depth[inside].min()))
     columns, rows = int(camera.width / cell) + 1, int(camera.height / cell) + 1
     place = np.full(uv.shape[0], -1)
     front = np.full(rows * columns, np.inf)
