@@ -6,13 +6,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import tyro
+from numpy.typing import NDArray
 
+from dwgs.cli.backend import BackendOptions
 from dwgs.cli.cases import Case, read_cases
 from dwgs.cli.options import Clip
 from dwgs.cli.progress import say
 from dwgs.cli.stage import versions
-from dwgs.cli.systems import ALL, read_systems
+from dwgs.cli.systems import SYSTEMS, System
 from dwgs.cli.trial import Effort, Trial
 from dwgs.files import new_file
 
@@ -35,10 +38,11 @@ class Evaluate:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the table, its plot and all that it comes from; what has not changed is not made again."""
     effort: Annotated[Effort, tyro.conf.arg(name="")]
+    given: BackendOptions
     scenes: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")] = STREETS
     """Embedded streets ('street:0', 'street:1', ...), whose truth is known; or JSON files that list drives with
     their vehicles: [{"scene": DIR, "vehicle": CAR, "ahead": 14, "left": 3.3, "frames": "30-78"}, ...]."""
-    systems: tuple[str, ...] = ALL
+    systems: tuple[str, ...] = SYSTEMS
     """Rows of the table; -D is the distillation of the system before it."""
     frames: Annotated[str | None, tyro.conf.arg(metavar="FIRST-LAST")] = None
     """First and last frame where a drive does not say; by default all."""
@@ -52,28 +56,33 @@ class Evaluate:
     """TorchScript network of perceptual distance, and its hash."""
 
     def run(self) -> None:
-        """Leave table.md, table.json and table.png."""
+        """Leave table.md, table.json, table.png and sheet.png."""
         from dwgs.evaluation import tabulate
+        from dwgs.evaluation.sheet import draw_sheet
 
-        systems, networks = read_systems(self.systems), self._networks()
+        systems = [System.of(name, self.given) for name in dict.fromkeys(self.systems)]
+        networks = self._networks()
         cases = read_cases(self.scenes, Clip("", frames=self.frames, size=self.size))
-        obstacles = {system.name: system.obstacle() for system in systems}
-        results: dict[str, list[Measured]] = {name: [] for name in obstacles}
+        results: dict[str, list[Measured]] = {system.name: [] for system in systems}
+        stills: dict[str, list[NDArray[np.uint8]]] = {system.name: [] for system in systems}
         for case in cases:
             say(f"[bold]{case.name}")
             trial = Trial.prepare(case, self.out / case.name, self.effort, networks)
             for system in systems:
-                if obstacles[system.name]:
+                if system.obstacle:
                     continue
                 say(f"[bold]{case.name} {system.name}")
                 if measured := trial.judge(system):
                     results[system.name].append(measured)
+                    stills[system.name].append(trial.still(system))
         table = tabulate(
-            {name: obstacles[name] or measured for name, measured in results.items()},
+            {system.name: system.obstacle or results[system.name] for system in systems},
             UNBUILT | {key: f"--{key} FILE" for key in NETWORKS if key not in networks},
             self.effort.seed,
         )
         self._write(table, cases)
+        draw_sheet(stills, self.out / "sheet.png")
+        say(f"look at {self.out / 'table.png'}, {self.out / 'sheet.png'}")
 
     def _networks(self) -> "dict[str, NetworkFile]":
         """The files that are given, by the key of their column; each is loaded once before anything runs."""
@@ -102,4 +111,3 @@ class Evaluate:
             draft.write_text(json.dumps(document, indent=2, default=str))
         plot(table, self.out / "table.png")
         print(text, end="")
-        say(f"look at {self.out / 'table.png'}")

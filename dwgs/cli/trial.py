@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 
@@ -83,7 +84,7 @@ class Trial:
 
     def judge(self, system: System) -> "Measured | None":
         """What is measured of a system here; None for the truth where it is not known."""
-        if system.backend is None and self.subject.truth is None:
+        if system.choice is None and self.subject.truth is None:
             return None
         video, key = self._video(system)
         own: dict[str, float] = {}
@@ -94,16 +95,26 @@ class Trial:
             video, key = self._rendered(system, distilled.key)
         return self._measured(system, video, key, own)
 
+    def still(self, system: System) -> NDArray[np.uint8]:
+        """The middle frame [H, W, 3] of a system that was judged."""
+        from dwgs.datasets import folder as scene_folder
+
+        is_truth = system.choice is None and not system.is_distilled
+        scene = self.subject.truth if is_truth else scene_folder.read(self.folder / system.name / "edited")
+        assert scene is not None
+        frames = scene.frames[scene.main_camera]
+        return frames[len(frames) // 2].pixels
+
     def _video(self, system: System) -> tuple[Scene, str]:
         """The video that a system makes, or that its vehicle is distilled from; and what it was made by."""
         from dwgs.datasets import folder as scene_folder
 
-        if system.backend is None:
+        if system.choice is None:
             assert self.subject.truth is not None
             return self.subject.truth, "truth"
         edited = self.folder / system.source / "edited"
         conditions, seed = self.folder / "conditions", self.effort.seed
-        record = generate_stage(self.subject.recorded, conditions, self.source, edited, system.backend, seed)
+        record = generate_stage(self.subject.recorded, conditions, self.source, edited, system.choice, seed)
         return scene_folder.read(edited), record.key
 
     def _distil(self, system: System, video: Scene, key: str) -> StageRecord:

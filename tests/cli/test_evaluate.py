@@ -59,7 +59,7 @@ def test_the_table_holds_every_system_with_what_needs_no_weights(table, out):
     assert systems["asset-D"]["kept"]["value"] < 100
     assert 8 < systems["asset"]["oracle_psnr"]["value"] < 40
     assert 8 < systems["asset-D"]["distill_psnr"]["value"] < 60
-    for name in ("table.md", "table.png"):
+    for name in ("table.md", "table.png", "sheet.png"):
         assert (out / name).stat().st_size > 0
     assert not list(out.rglob(".*"))
 
