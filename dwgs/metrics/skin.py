@@ -18,7 +18,9 @@ CASTERS = 40_000
 CELL = 2.5
 """Points are hidden cell by cell, so many spacings wide: random points leave no such cell empty."""
 BEHIND = 0.2
-"""A point this much behind the front of its cell [m] lies on another side."""
+"""A point this much behind the front of its cell [m] lies on another side, where no normal says more."""
+LAYER = 0.03
+"""A surface this much behind another [m] is hidden, once its slope is allowed for."""
 FACING = 0.25
 """A point whose normal is turned further away than this cosine is on the rim, where pixels mix it with the street."""
 FEWEST = 20
@@ -88,23 +90,25 @@ def _seen(
     """Which points [P] a camera sees of the vehicle, whatever else stands before it, and their pixels [P, 2]."""
     local = transform_points(camera_from_vehicle, points)
     uv, depth = _project(camera, local)
-    inside = (depth > NEAR) & (uv > 0.5).all(1) & (uv < (camera.width - 0.5, camera.height - 0.5)).all(1)
+    seen = (depth > NEAR) & (uv > 0.5).all(1) & (uv < (camera.width - 0.5, camera.height - 0.5)).all(1)
+    facing = np.full(len(points), np.nan)
     if normals is not None:
-        away = -(normals @ camera_from_vehicle[:3, :3].T * local).sum(1) / np.linalg.norm(local, axis=1)
-        inside &= away > FACING
-    if not inside.any():
-        return inside, uv
-    cast_uv, cast_depth = _project(camera, transform_points(camera_from_vehicle, casters))
-    cell = max(1.0, CELL * spacing * camera.K[0, 0] / float(depth[inside].min()))
+        facing = -(normals @ camera_from_vehicle[:3, :3].T * local).sum(1) / np.linalg.norm(local, axis=1)
+        seen &= facing > FACING
+    if not seen.any():
+        return seen, uv
+    cell = max(1.0, CELL * spacing * camera.K[0, 0] / float(depth[seen].min()))
     columns, rows = int(camera.width / cell) + 1, int(camera.height / cell) + 1
-    place = np.full(uv.shape[0], -1)
     front = np.full(rows * columns, np.inf)
+    cast_uv, cast_depth = _project(camera, transform_points(camera_from_vehicle, casters))
     drawn = (cast_depth > NEAR) & (cast_uv >= 0).all(1) & (cast_uv < (camera.width, camera.height)).all(1)
     column, row = (cast_uv[drawn] / cell).astype(int).T
     np.minimum.at(front, row * columns + column, cast_depth[drawn])
-    column, row = (uv[inside] / cell).astype(int).T
-    place[inside] = row * columns + column
-    return inside & (depth <= np.where(place >= 0, front[place], -np.inf) + BEHIND), uv
+    column, row = (uv[seen] / cell).astype(int).T
+    slope = np.sqrt(1 - np.clip(facing[seen], 0, 1) ** 2) / facing[seen]
+    behind = np.where(np.isnan(slope), BEHIND, LAYER + 1.5 * slope * cell * depth[seen] / camera.K[0, 0])
+    seen[seen] = depth[seen] <= front[row * columns + column] + behind
+    return seen, uv
 
 
 def _project(camera: Camera, local: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
