@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from dwgs.metrics.network import CLIP_FRAMES, CLIP_STRIDE
 
 FRECHET_SAMPLES = 200
 """Resamplings behind the interval of a Frechet distance: each costs a singular value decomposition."""
+
+SIGNS = {"high": "↑", "low": "↓", "truth": "≈"}
+"""Which way is better."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +37,19 @@ class Column:
     """For people."""
     meaning: str
     """In one line."""
-    is_better_high: bool
+    better: Literal["high", "low", "truth"]
+    """Which way; ``truth`` is near what the true vehicle has: light changes colours, and pixels mix them."""
     digits: int
     """After the point."""
     is_frechet: bool = False
     """A distance of all sequences' features together; otherwise the mean of the sequences' own values."""
     weights: str | None = None
     """Option that names the network it needs, if it needs one."""
+
+    @property
+    def heading(self) -> str:
+        """Title and direction."""
+        return f"{self.title} {SIGNS[self.better]}"
 
     def has(self, measured: Measured) -> bool:
         """Whether a sequence counts: of one feature alone no spread is known."""
@@ -56,25 +66,18 @@ class Column:
 
 
 COLUMNS = (
-    Column("fid", "FID", "Frechet distance of image features, edited from recorded", False, 2, True, "--fid"),
-    Column("fvd", "FVD", f"the same of clips of {CLIP_FRAMES} frames, {CLIP_STRIDE} apart", False, 2, True, "--fvd"),
-    Column("lpips", "LPIPS", "perceptual distance of edited from recorded frames", False, 3, weights="--lpips"),
-    Column("joint_psnr", "recon PSNR", "[dB] of a joint reconstruction of the edited video", True, 2),
-    Column("joint_ssim", "recon SSIM", "of the same", True, 3),
-    Column("oracle_psnr", "PSNR", "[dB] from the true vehicle, where it may be painted or shows", True, 2),
-    Column("oracle_ssim", "SSIM", "of the same", True, 3),
-    Column("kept", "kept", "[%] of the recorded pixels outside the reactive masks, bit for bit", True, 2),
-    Column(
-        "point_error",
-        "points",
-        "[levels of 255] error of telling the points' colours from the video",
-        False,
-        1,
-    ),
-    Column("flicker", "flicker", "[levels of 255] a point of the vehicle off its mean before and after", False, 2),
-    Column("distill_psnr", "distilled", "[dB] held-out ROI PSNR of the distilled vehicle: how much it is one", True, 2),
+    Column("fid", "FID", "Frechet distance of image features, edited from recorded", "low", 2, True, "--fid"),
+    Column("fvd", "FVD", f"the same of clips of {CLIP_FRAMES} frames, {CLIP_STRIDE} apart", "low", 2, True, "--fvd"),
+    Column("lpips", "LPIPS", "perceptual distance of edited from recorded frames", "low", 3, weights="--lpips"),
+    Column("joint_psnr", "recon PSNR", "[dB] of a joint reconstruction of the edited video", "high", 2),
+    Column("joint_ssim", "recon SSIM", "of the same", "high", 3),
+    Column("oracle_psnr", "PSNR", "[dB] from the true vehicle, where it may be painted or shows", "high", 2),
+    Column("oracle_ssim", "SSIM", "of the same", "high", 3),
+    Column("kept", "kept", "[%] of the recorded pixels outside the reactive masks, bit for bit", "high", 2),
+    Column("point_error", "points", "[levels] error of telling the points' colours from the video", "truth", 1),
+    Column("flicker", "flicker", "[levels] a point of the vehicle off its mean before and after", "truth", 2),
+    Column("distill_psnr", "distilled", "[dB] held-out ROI PSNR of the distillation: how much it is one", "high", 2),
 )
-"""All of them. The first five are the paper's; the others need no weights. What the last four give for the true
-vehicle is the mark to reach, not zero: light changes colours, and pixels mix them."""
+"""All of them. The first five are the paper's; the others need no weights. Levels are of 255."""
 PAPER = 5
 """So many are the paper's."""

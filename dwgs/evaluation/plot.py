@@ -49,7 +49,7 @@ def _panel(axes: Axes, column: Column, cells: dict[str, Cell]) -> None:
         axes.plot([cell.value], [row], "o", color=color, markersize=5)
     axes.set_yticks(range(len(cells)), list(cells))
     axes.set_ylim(len(cells) - 0.5, -0.5)
-    axes.set_title(f"{column.title} {'↑' if column.is_better_high else '↓'}", size=9, color=INK, loc="left")
+    axes.set_title(column.heading, size=9, color=INK, loc="left")
     axes.grid(axis="x", color=FAINT)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=7, length=0, colors=INK)

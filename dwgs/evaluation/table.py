@@ -36,12 +36,12 @@ class Table:
         """Two tables, the paper's measures and the others, and what they mean."""
         parts = []
         for columns in (COLUMNS[:PAPER], COLUMNS[PAPER:]):
-            head = [f"{c.title} {'↑' if c.is_better_high else '↓'}" for c in columns]
-            lines = [["system", *head], ["---"] * (1 + len(columns))]
+            lines = [["system", *(c.heading for c in columns)], ["---"] * (1 + len(columns))]
             lines += [[system, *(self._text(system, column) for column in columns)] for system in self.rows]
             parts += ["\n".join(f"| {' | '.join(line)} |" for line in lines), ""]
         parts += [f"- {c.title}: {c.meaning}" for c in COLUMNS]
         parts.append(f"- [a, b]: {LEVEL:.0%} bootstrap interval over sequences; - where a measure means nothing")
+        parts.append("- better is ↑ higher, ↓ lower, ≈ nearer to the ground truth's")
         parts += [f"- {system} is unavailable: {reason}" for system, reason in self.absent.items()]
         return "\n".join(parts) + "\n"
 
@@ -59,10 +59,7 @@ class Table:
     def document(self) -> dict[str, Any]:
         """JSON values; an infinite PSNR is the string "inf"."""
         return {
-            "columns": [
-                {"key": c.key, "title": c.title, "meaning": c.meaning, "better": "high" if c.is_better_high else "low"}
-                for c in COLUMNS
-            ],
+            "columns": [{"key": c.key, "title": c.title, "meaning": c.meaning, "better": c.better} for c in COLUMNS],
             "systems": {
                 system: {key: _entry(cell) for key, cell in cells.items()} for system, cells in self.rows.items()
             },

@@ -59,7 +59,7 @@ def test_a_system_that_did_not_run_says_why_once(table):
 def test_every_column_is_in_the_markdown_and_explained(table):
     text = table.markdown()
     for column in COLUMNS:
-        assert f"| {column.title} {'↑' if column.is_better_high else '↓'} " in text
+        assert f"| {column.heading} " in text
         assert column.meaning in text
 
 
