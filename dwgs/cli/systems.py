@@ -11,11 +11,11 @@ TRUTH = "ground-truth"
 DISTILLED = "-D"
 """Ends the name of a system whose vehicle is distilled and rendered with the reconstructed street."""
 BACKENDS: dict[str, dict[str, Any]] = {
-    "composite": {"backend": "composite"},
+    "composite": {"backend": "composite", "asset": None},
     "asset": {"backend": "asset"},
-    "vace": {"backend": "vace", "adapter": None},
-    "streetcrafter": {"backend": "wan", "strategy": "autoregressive", "whole_frame": True},
-    "wan": {"backend": "wan"},
+    "vace": {"backend": "vace", "asset": None, "adapter": None},
+    "streetcrafter": {"backend": "wan", "asset": None, "strategy": "autoregressive", "whole_frame": True},
+    "wan": {"backend": "wan", "asset": None},
 }
 """What each system but the truth sets of a `BackendChoice`; the rest is the user's: where weights are, how many steps.
 

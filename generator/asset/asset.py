@@ -33,6 +33,10 @@ class AssetGenerator:
         """Of ``asset``, or of one made from the inserted vehicle's points."""
         self._asset = asset
 
+    def check(self, scene: Scene) -> list[str]:
+        """It works on every drive, and there is nothing to say."""
+        return []
+
     def generate(
         self, conditions: Conditions, seed: int, on_progress: Callable[[int, int], None] | None = None
     ) -> Scene:
