@@ -27,8 +27,8 @@ STREETS = ("street:0", "street:1", "street:2")
 """Evaluated where nothing else is named."""
 NETWORKS = ("fid", "fvd", "lpips")
 """Options that name a network; columns that need it are called the same."""
-UNBUILT = dict.fromkeys(("joint_psnr", "joint_ssim"), "joint reconstruction")
-"""Columns that wait for a stage which does not exist yet."""
+JOINT = ("joint_psnr", "joint_ssim")
+"""Columns that --joint fills."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Evaluate:
                     stills[system.name].append(trial.still(system))
         table = tabulate(
             {system.name: system.obstacle or results[system.name] for system in systems},
-            UNBUILT | {key: f"--{key} FILE" for key in NETWORKS if key not in networks},
+            self._missing(networks),
             self.effort.seed,
         )
         self._write(table, cases)
@@ -93,6 +93,11 @@ class Evaluate:
         for file in networks.values():
             Network(file)
         return networks
+
+    def _missing(self, networks: "dict[str, NetworkFile]") -> dict[str, str]:
+        """Key of a column to what would fill it."""
+        options = {key: f"--{key} FILE" for key in NETWORKS if key not in networks}
+        return options if self.effort.joint else options | dict.fromkeys(JOINT, "--joint")
 
     def _write(self, table: "Table", cases: list[Case]) -> None:
         from dwgs.evaluation.plot import plot

@@ -15,7 +15,7 @@ from dwgs.cli.distill import distill_config, distill_stage
 from dwgs.cli.generate import generate_stage
 from dwgs.cli.options import author_insertion
 from dwgs.cli.progress import Bar, say
-from dwgs.cli.reconstruct import clip_key, reconstruct_stage
+from dwgs.cli.reconstruct import clip_key, joint_stage, reconstruct_stage
 from dwgs.cli.record import keep_stage, record_stage
 from dwgs.cli.render import rendered
 from dwgs.cli.stage import StageRecord, run_stage
@@ -38,6 +38,9 @@ class Effort:
     """Reconstruct backgrounds with half the Gaussians and a tenth of the steps."""
     distill_steps: int | None = None
     """Steps of each vehicle's optimiser; by default what suits the video."""
+    joint: bool = False
+    """Reconstruct street and traffic of every video together, too: minutes for each, the paper's measure of
+    how well one world explains it."""
     seed: int = 0
     """Of everything random."""
 
@@ -93,6 +96,8 @@ class Trial:
             if distilled.report["psnr_roi_heldout"] is not None:
                 own["distill_psnr"] = distilled.report["psnr_roi_heldout"]
             video, key = self._rendered(system, distilled.key)
+        elif self.effort.joint:
+            own |= self._explained(system, video, key)
         return self._measured(system, video, key, own)
 
     def still(self, system: System) -> NDArray[np.uint8]:
@@ -116,6 +121,17 @@ class Trial:
         conditions, seed = self.folder / "conditions", self.effort.seed
         record = generate_stage(self.subject.recorded, conditions, self.source, edited, system.choice, seed)
         return scene_folder.read(edited), record.key
+
+    def _explained(self, system: System, video: Scene, key: str) -> dict[str, float]:
+        """PSNR [dB] and SSIM of a joint reconstruction of a video, on the frames that taught it."""
+        from dwgs.reconstruct import ReconstructConfig
+
+        seed = self.effort.seed
+        config = ReconstructConfig.draft(seed) if self.effort.draft else ReconstructConfig.joint(seed)
+        source = {"insertion": self.source, "edited": key}
+        folder = self.folder / system.name / "joint"
+        report = joint_stage(video, self.subject.insertion, source, folder, config).report
+        return {"joint_psnr": report["psnr_train"], "joint_ssim": report["ssim_train"]}
 
     def _distil(self, system: System, video: Scene, key: str) -> StageRecord:
         """The vehicle that a video shows, before the reconstructed street."""

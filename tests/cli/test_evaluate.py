@@ -97,6 +97,13 @@ def test_stub_networks_by_path_fill_their_columns(table, out, tmp_path):
     assert systems["asset"]["oracle_psnr"] == table["systems"]["asset"]["oracle_psnr"]
 
 
+def test_a_joint_reconstruction_is_made_where_it_is_asked_for(table, out):
+    assert table["systems"]["asset"]["joint_psnr"] == {"value": None, "reason": "--joint"}
+    systems = evaluate(out, "--joint", systems=("asset",))["systems"]
+    assert 8 < systems["asset"]["joint_psnr"]["value"] < 50
+    assert 0 < systems["asset"]["joint_ssim"]["value"] < 1
+
+
 def refusal(capsys, *arguments):
     with pytest.raises(SystemExit) as exit:
         main(["evaluate", *arguments])
