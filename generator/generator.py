@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from dwgs.scene import InputError, Scene
@@ -52,20 +53,29 @@ class Generator(Protocol):
         ...
 
 
-BACKENDS = ("composite",)
+BACKENDS = ("composite", "asset")
 """Names that `backend` knows."""
 
 
-def backend(name: str) -> Generator:
+def backend(name: str, asset: Path | None = None) -> Generator:
     """The generator of that name; it is imported only now.
 
+    Args:
+        name: ``composite`` or ``asset``.
+        asset: Folder of the asset that the latter draws; by default it makes one of the vehicle's points.
+
     Raises:
-        InputError: No backend is called so.
+        InputError: No backend is called so, or it lacks what it needs.
     """
+    if asset is not None and name != "asset":
+        raise InputError(f"'{name}' draws no asset folder: leave --asset out, or take --backend asset")
     if name == "composite":
         from generator.composite import CompositeGenerator
 
         return CompositeGenerator()
-    raise InputError(
-        f"no generator is called '{name}'; there is {', '.join(BACKENDS)} (needs no weights, runs anywhere)"
-    )
+    if name == "asset":
+        from dwgs.formats import asset_folder
+        from generator.asset import AssetGenerator
+
+        return AssetGenerator(None if asset is None else asset_folder.read(asset))
+    raise InputError(f"no backend is called '{name}'; there is {', '.join(BACKENDS)} (they need no weights)")

@@ -11,6 +11,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     from dwgs.cli.condition import Condition
     from dwgs.cli.distill import Distill
+    from dwgs.cli.evaluate import Evaluate
     from dwgs.cli.generate import Generate
     from dwgs.cli.insert import Insert
     from dwgs.cli.inspect import Inspect
@@ -25,6 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "generate": Generate,
         "distill": Distill,
         "render": Render,
+        "evaluate": Evaluate,
         "inspect": Inspect,
     }
     verb = tyro.extras.subcommand_cli_from_dict(

@@ -9,15 +9,17 @@ from typing import Annotated, Any
 
 import tyro
 
+from dwgs.cli.backend import BackendOptions
 from dwgs.cli.condition import condition_stage, insertion_key
 from dwgs.cli.distill import distill_config, distill_stage
 from dwgs.cli.films import film_stage
 from dwgs.cli.generate import generate_stage
 from dwgs.cli.options import ClipOptions, PlacementOptions, VehicleOptions, author_insertion
-from dwgs.cli.progress import Bar, decibels, say
+from dwgs.cli.progress import decibels, say
 from dwgs.cli.reconstruct import clip_key, reconstruct_stage
+from dwgs.cli.record import record_stage
 from dwgs.cli.report import write_page
-from dwgs.cli.stage import StageRecord, run_stage, versions
+from dwgs.cli.stage import StageRecord, versions
 from dwgs.files import new_file
 
 
@@ -28,10 +30,9 @@ class Insert:
     clip: ClipOptions
     choice: VehicleOptions
     placement: PlacementOptions
+    generator: BackendOptions
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for everything; stages whose inputs have not changed are not run again."""
-    generator: str = "composite"
-    """Backend that makes the pixels."""
     draft: bool = False
     """Reconstruct the background with half the Gaussians and a tenth of the steps."""
     distill_steps: int | None = None
@@ -43,11 +44,10 @@ class Insert:
         """Run the chain."""
         from dwgs.datasets import folder as scene_folder
         from dwgs.formats import asset_folder, background_folder
-        from generator import backend
         from viewer.scene_graph import SceneGraph
 
         start = time.perf_counter()
-        backend(self.generator)  # a backend that cannot work says so before an hour is spent
+        self.generator.open()  # a backend that cannot work says so before an hour is spent
         clip, stages = self.clip, {}
         scene = clip.open()
         insertion, notes = author_insertion(clip, scene, self.choice, self.placement)
@@ -55,7 +55,7 @@ class Insert:
             say(note)
         key = insertion_key(clip, self.choice, self.placement)
         if clip.is_street:
-            stages["record"] = self.record()
+            stages["record"] = record_stage(clip, self.out / "recorded")
             scene = scene_folder.read(self.out / "recorded")
         # the cheap stages first: what is wrong with an insertion shows before the long fit
         stages["condition"] = condition_stage(scene, insertion, key, self.out / "conditions")
@@ -78,17 +78,6 @@ class Insert:
             draft.write_text(json.dumps(report, indent=2, default=str))
         write_page(self.out, report, scene, edited, SceneGraph(background, [(asset, insertion.trajectory)]))
         self.say_result(report)
-
-    def record(self) -> StageRecord:
-        """Drive the embedded street once, so that it is a recording on disk like any other."""
-        from dwgs.datasets import folder as scene_folder
-
-        def make(draft: Path, progress: Bar) -> dict:
-            self.clip.street().render_all(progress.count)
-            scene_folder.write(self.clip.open(), draft)
-            return {}
-
-        return run_stage(self.out / "recorded", "record", clip_key(self.clip), make)
 
     def report(
         self, stages: dict[str, StageRecord], notes: list[str], unchanged: bool, seconds: float

@@ -26,7 +26,7 @@ class Clip:
 
     scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
     """Folder of a recorded drive (PandaSet's layout, or a Scene folder of ours), or 'street': the embedded
-    one."""
+    one; 'street:1' is another."""
     camera: tuple[str, ...] = ()
     """Cameras to use, the main one first; by default the main one alone."""
     frames: Annotated[str | None, tyro.conf.arg(metavar="FIRST-LAST")] = None
@@ -54,12 +54,14 @@ class Clip:
     def street(self):
         """The embedded street, as long and as large as asked."""
         frames = self._range()
-        return _street(frames.stop if frames else STREET_FRAMES, *self.width_height)
+        return _street(
+            int(self.scene.partition(":")[2] or 0), frames.stop if frames else STREET_FRAMES, *self.width_height
+        )
 
     @property
     def is_street(self) -> bool:
         """Whether the embedded street is meant."""
-        return self.scene == STREET
+        return re.fullmatch(rf"{STREET}(:\d{{1,9}})?", self.scene) is not None
 
     @property
     def width_height(self) -> tuple[int, int]:
@@ -167,10 +169,10 @@ def conflict_notes(scene: Scene, size: np.ndarray, trajectory: Trajectory) -> li
 
 
 @cache
-def _street(frames: int, width: int, height: int):
+def _street(seed: int, frames: int, width: int, height: int):
     from dwgs.street import build_street
 
-    return build_street(frames=frames, width=width, height=height)
+    return build_street(seed, frames, width, height)
 
 
 Flat = tyro.conf.arg(name="")

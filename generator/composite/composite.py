@@ -14,7 +14,7 @@ from dwgs.scene.sky import pixel_rays
 from generator.composite.color import linear_from_srgb, srgb_from_linear
 from generator.composite.environment import look_around
 from generator.composite.light import Lighting
-from generator.composite.occlusion import Recording, nearer
+from generator.composite.occlusion import Recording
 from generator.composite.raster import draw, facing
 from generator.composite.sensor import Sensor, measure
 from generator.composite.surface import surface_of
@@ -26,8 +26,6 @@ THREADS = 2
 """Frames made at a time."""
 BORDER = 1 / 120
 """The shadow fades to nothing within this share of the image height from the border of the reactive mask."""
-CLEARANCE = 0.25
-"""Returns lower than this above the vehicle's ground [m] are ground, and hide nothing."""
 
 
 class CompositeGenerator:
@@ -109,7 +107,7 @@ class Studio:
         image = recorded / np.float32(255)
         is_vehicle = alpha > 0.05
         asked = np.where(is_vehicle, depth, np.where(light.min(-1) < 0.999, ground_depth, np.inf))
-        shown = 1 - self._hidden(frame, camera, pose, image, asked)
+        shown = 1 - self.recording.hides(camera, frame.index, pose, self.insertion.size, image, asked)
         light = 1 - (1 - light) * (strength * shown)[..., None]
         alpha = (alpha * shown)[..., None]
         mixed = srgb_from_linear(alpha * vehicle + (1 - alpha) * linear_from_srgb(image) * light)
@@ -132,16 +130,6 @@ class Studio:
         at = np.moveaxis((xy + self.insertion.size[:2] / 2 + REACH) / CELL - 0.5, -1, 0)
         left = self.lighting.ground(pose)
         return np.stack([map_coordinates(left[..., c], at, order=1, cval=1.0) for c in range(3)], -1), depth
-
-    def _hidden(self, frame: Frame, camera: Camera, pose: NDArray, image: NDArray, depth: NDArray) -> NDArray:
-        """How much of each pixel shows something recorded that is nearer than ``depth`` [h, w]."""
-        if not np.isfinite(depth).any():
-            return np.zeros(depth.shape)
-        returns = self.recording.at(camera, frame.index)
-        above = transform_points(inverse(pose), returns.points)[:, 2] > CLEARANCE - self.insertion.size[2] / 2
-        is_before = self.recording.ranges(camera) < np.linalg.norm(pose[:3, 3] - camera.position)
-        hides = above & (np.append(is_before, True)[returns.track])  # a track of -1 takes the last
-        return nearer(returns, camera, image, depth, hides)
 
 
 def _bounds(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:

@@ -27,6 +27,8 @@ EDGE = 0.8
 """Occluders end over about this distance [px], as everything does that a lens draws."""
 COLOR_SCALE = 60.0
 """A difference of colour from 0 to 1 counts like this many pixels: votes stop at edges."""
+CLEARANCE = 0.25
+"""Returns lower than this above the vehicle's ground [m] are ground, and hide nothing."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,27 @@ class Recording:
         """How far [T] the vehicles are from a camera when it exposes [m]."""
         centers = np.array([_center(t, camera.time) for t in self.tracks]).reshape(-1, 3)
         return np.linalg.norm(centers - camera.position, axis=1)
+
+    def hides(
+        self, camera: Camera, frame_index: int, pose: NDArray, size: NDArray, image: NDArray, depth: NDArray
+    ) -> NDArray[np.float32]:
+        """How much of each pixel [h, w] shows something recorded before a vehicle.
+
+        Args:
+            camera: Of a window of a recorded frame.
+            frame_index: Of that frame.
+            pose: [4, 4] of the vehicle's box centre in the world.
+            size: [3] of the box [m].
+            image: [h, w, 3] recorded, in [0, 1].
+            depth: [h, w] of the vehicle and its shadow [m], infinite elsewhere.
+        """
+        if not np.isfinite(depth).any():
+            return np.zeros(depth.shape, np.float32)
+        returns = self.at(camera, frame_index)
+        above = transform_points(inverse(pose), returns.points)[:, 2] > CLEARANCE - size[2] / 2
+        is_before = self.ranges(camera) < np.linalg.norm(pose[:3, 3] - camera.position)
+        hides = above & (np.append(is_before, True)[returns.track])  # a track of -1 takes the last
+        return nearer(returns, camera, image, depth, hides)
 
 
 def _in_view(returns: Returns, project: NDArray, camera: Camera) -> Returns:

@@ -50,7 +50,7 @@ def test_nothing_says_where_the_vehicle_drives(refused):
 
 
 def test_an_unknown_generator_names_those_that_work(refused):
-    message = refused("insert", "street", "--vehicle", "street", "--generator", "wan-point", *TOY)
+    message = refused("insert", "street", "--vehicle", "street", "--backend", "wan-point", *TOY)
     assert "composite" in message
 
 

@@ -1,0 +1,172 @@
+"""dwgs evaluate: a tiny street, two systems, from the command to the table."""
+
+import hashlib
+import json
+import warnings
+
+import pytest
+import torch
+
+from dwgs.cli import main
+from dwgs.cli.cases import read_cases
+from dwgs.cli.options import Clip
+from dwgs.reconstruct import ReconstructConfig
+from dwgs.scene import InputError
+
+TOY = ("--frames", "0-8", "--size", "96x64", "--draft", "--distill-steps", "20")
+
+
+class Stub(torch.nn.Module):
+    def forward(self, images):
+        return images.mean(dim=(2, 3))
+
+
+class ClipStub(torch.nn.Module):
+    def forward(self, clips):
+        return clips.mean(dim=(2, 3, 4))
+
+
+def write(module, path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.jit.script(module).save(str(path))
+    return f"{path}:{hashlib.sha256(path.read_bytes()).hexdigest()}"
+
+
+def evaluate(out, *more, systems=("ground-truth", "asset", "asset-D", "vace")):
+    main(["evaluate", "street:3", *TOY, "--systems", *systems, *more, "-o", str(out)])
+    return json.loads((out / "table.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    """Where a street of few Gaussians is reconstructed in few steps."""
+    quick = staticmethod(lambda seed=0: ReconstructConfig(steps=20, gaussians=4000, grown=0, seed=seed))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ReconstructConfig, "draft", quick)
+        yield tmp_path_factory.mktemp("evaluation") / "out"
+
+
+@pytest.fixture(scope="module")
+def table(out):
+    return evaluate(out)
+
+
+def test_the_table_holds_every_system_with_what_needs_no_weights(table, out):
+    systems = table["systems"]
+    assert systems["ground-truth"]["oracle_psnr"]["value"] == "inf"
+    assert systems["asset"]["kept"]["value"] == 100
+    assert systems["asset-D"]["kept"]["value"] < 100
+    assert 8 < systems["asset"]["oracle_psnr"]["value"] < 40
+    assert 8 < systems["asset-D"]["distill_psnr"]["value"] < 60
+    for name in ("table.md", "table.png", "sheet.png"):
+        assert (out / name).stat().st_size > 0
+    assert not list(out.rglob(".*"))
+
+
+def test_what_needs_weights_is_unavailable_and_never_a_number(table):
+    for key in ("fid", "fvd", "lpips"):
+        assert table["systems"]["asset"][key] == {"value": None, "reason": f"--{key} FILE"}
+
+
+def test_a_backend_that_cannot_work_is_a_row_with_its_reason(table):
+    assert "vace" in table["absent"]["vace"]
+    assert all(cell["value"] is None for cell in table["systems"]["vace"].values())
+
+
+def test_a_second_run_keeps_every_stage_and_gives_the_same_table(table, out, capsys):
+    assert evaluate(out)["systems"] == table["systems"]
+    said = capsys.readouterr().err
+    assert "unchanged, kept" in said
+    assert "━" not in said  # no bar: nothing ran
+
+
+def test_a_new_system_leaves_the_finished_ones_alone(table, out, capsys):
+    before = (out / "street-3" / "asset" / "edited" / "run.json").stat().st_mtime_ns
+    systems = evaluate(out, systems=("asset", "ground-truth-D"))["systems"]
+    assert set(systems) == {"asset", "ground-truth-D"}
+    assert (out / "street-3" / "asset" / "edited" / "run.json").stat().st_mtime_ns == before
+
+
+def test_stub_networks_by_path_fill_their_columns(table, out, tmp_path):
+    fid, fvd = write(Stub(), tmp_path / "fid.pt"), write(ClipStub(), tmp_path / "fvd.pt")
+    systems = evaluate(out, "--fid", fid, "--fvd", fvd)["systems"]
+    assert systems["asset"]["fid"]["value"] > 0
+    assert systems["asset"]["fvd"] == {"value": None, "reason": "no sequence is long enough"}  # nine frames are no clip
+    assert systems["asset"]["lpips"]["value"] is None
+    assert systems["asset"]["oracle_psnr"] == table["systems"]["asset"]["oracle_psnr"]
+
+
+def test_a_joint_reconstruction_is_made_where_it_is_asked_for(table, out):
+    assert table["systems"]["asset"]["joint_psnr"] == {"value": None, "reason": "--joint"}
+    systems = evaluate(out, "--joint", systems=("asset",))["systems"]
+    assert 8 < systems["asset"]["joint_psnr"]["value"] < 50
+    assert 0 < systems["asset"]["joint_ssim"]["value"] < 1
+
+
+def refusal(capsys, *arguments):
+    with pytest.raises(SystemExit) as exit:
+        main(["evaluate", *arguments])
+    assert exit.value.code == 2
+    return capsys.readouterr().err.strip().splitlines()[-1]
+
+
+def test_a_wrong_hash_is_refused_before_anything_runs(capsys, tmp_path):
+    path = tmp_path / "fid.pt"
+    write(Stub(), path)
+    said = refusal(capsys, "street:3", *TOY, "--fid", f"{path}:{'0' * 64}", "-o", str(tmp_path / "out"))
+    assert "not loaded" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_system_names_those_there_are(capsys, tmp_path):
+    said = refusal(capsys, "street:3", *TOY, "--systems", "magic", "-o", str(tmp_path / "out"))
+    assert "composite-D" in said
+
+
+def test_a_drive_without_a_vehicle_is_refused_with_an_example(capsys, tmp_path):
+    assert '"vehicle": "car.glb"' in refusal(capsys, str(tmp_path), "-o", str(tmp_path / "out"))
+
+
+def cases(tmp_path, entries):
+    path = tmp_path / "cases.json"
+    path.write_text(entries if isinstance(entries, str) else json.dumps(entries))
+    return read_cases([str(path)], Clip("", frames="0-9", size="96x64"))
+
+
+def test_a_list_of_cases_says_what_drives_where(tmp_path):
+    (tmp_path / "car.glb").touch()
+    first, second = cases(
+        tmp_path,
+        [
+            {"scene": "street:1", "vehicle": "street", "ahead": 12, "left": -3},
+            {"scene": "street", "vehicle": "car.glb", "trajectory": "way.csv", "frames": "3-8", "camera": "front"},
+        ],
+    )
+    assert (first.name, second.name) == ("cases-0", "cases-1")
+    assert (first.clip.scene, first.clip.frames, first.placement.ahead, first.placement.left) == (
+        "street:1",
+        "0-9",
+        12,
+        -3,
+    )
+    assert first.knows_truth
+    assert not second.knows_truth
+    assert second.choice.vehicle == str(tmp_path / "car.glb")
+    assert (second.clip.frames, second.clip.camera) == ("3-8", ("front",))
+
+
+@pytest.mark.parametrize(
+    ("entries", "complaint"),
+    [
+        ("nothing", "not JSON"),
+        ({"scene": "street"}, "a list of objects"),
+        ([{"scene": "street"}], "lacks"),
+        ([{"scene": "street", "vehicle": "street", "speeed": 3}], "'speeed' is none"),
+        ([{"scene": "street", "vehicle": "street", "ahead": "far"}], "are numbers"),
+        ([], "at least one case"),
+    ],
+)
+def test_a_list_of_cases_that_is_none_is_refused(tmp_path, entries, complaint):
+    with pytest.raises(InputError, match=complaint):
+        cases(tmp_path, entries)
