@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from dwgs.scene import InputError, Scene
 
 if TYPE_CHECKING:
     from generator.conditions.conditions import Conditions
+    from generator.wan.settings import WanSettings
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,14 @@ class Generator(Protocol):
         """What it needs and promises."""
         ...
 
+    def check(self, scene: Scene) -> list[str]:
+        """What a person should know before it works on such a drive, a line each.
+
+        Raises:
+            InputError: It cannot work on such images here, and why.
+        """
+        ...
+
     def generate(
         self, conditions: "Conditions", seed: int, on_progress: Callable[[int, int], None] | None = None
     ) -> Scene:
@@ -47,25 +58,40 @@ class Generator(Protocol):
         Args:
             conditions: What to draw where.
             seed: Chooses among equally good answers.
-            on_progress: Called with (frames done, frames in all).
+            on_progress: Called with (work done, work in all), in frames or in steps.
         """
         ...
 
 
-BACKENDS = ("composite",)
+BACKENDS = ("composite", "wan", "vace")
 """Names that `backend` knows."""
 
 
-def backend(name: str) -> Generator:
+def backend(name: str, settings: "WanSettings | None" = None, parts: Path | None = None) -> Generator:
     """The generator of that name; it is imported only now.
 
+    Args:
+        name: ``composite`` needs no weights and runs anywhere, ``wan`` is the paper's, ``vace`` what it builds on.
+        settings: Of the latter two: where their weights are, and how they work.
+        parts: Folder where the latter two keep finished clips, so that a run that was killed goes on.
+
     Raises:
-        InputError: No backend is called so.
+        InputError: No backend is called so, or it lacks what it needs.
     """
     if name == "composite":
         from generator.composite import CompositeGenerator
 
         return CompositeGenerator()
-    raise InputError(
-        f"no generator is called '{name}'; there is {', '.join(BACKENDS)} (needs no weights, runs anywhere)"
-    )
+    if name not in BACKENDS:
+        raise InputError(f"no backend is called '{name}'; there is {', '.join(BACKENDS)}")
+    if settings is None:
+        raise InputError(f"'{name}' needs weights: give --backbone DIR, or take composite, which needs none")
+    if name == "wan" and settings.adapter is None:
+        raise InputError("'wan' needs a PointAdapter: give --adapter DIR, or take vace, which works without")
+    if name == "vace" and settings.adapter is not None:
+        raise InputError("'vace' takes no PointAdapter: leave --adapter out, or take wan")
+    if find_spec("diffusers") is None:
+        raise InputError(f"'{name}' needs more packages: pip install 'dwgs[wan]'; composite needs none of them")
+    from generator.wan.wan import WanGenerator
+
+    return WanGenerator(settings, parts)

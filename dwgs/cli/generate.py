@@ -6,10 +6,11 @@ from typing import Annotated
 
 import tyro
 
+from dwgs.cli.backend import BackendChoice, BackendOptions
 from dwgs.cli.options import ClipOptions
 from dwgs.cli.progress import Bar, say
 from dwgs.cli.reconstruct import clip_key
-from dwgs.cli.stage import StageRecord, fingerprint, run_stage
+from dwgs.cli.stage import StageRecord, fingerprint, run_stage, stage_key, unfinished
 from dwgs.scene import Scene
 
 
@@ -18,12 +19,11 @@ class Generate:
     """Make the video in which the vehicle drives: the same cameras, new pixels."""
 
     clip: ClipOptions
+    choice: BackendOptions
     conditions: Path
     """Folder of conditions, from `dwgs condition`."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the edited Scene."""
-    generator: str = "composite"
-    """Backend that makes the pixels."""
     seed: int = 0
     """Of everything random."""
 
@@ -31,25 +31,26 @@ class Generate:
         """Leave an edited Scene folder."""
         scene = self.clip.open()
         source = {"clip": clip_key(self.clip), "conditions": fingerprint(self.conditions)}
-        generate_stage(scene, self.conditions, source, self.out, self.generator, self.seed)
+        generate_stage(scene, self.conditions, source, self.out, self.choice, self.seed)
         say(f"next: dwgs distill {self.out} --insertion {self.conditions}/insertion --background bg/ -o asset/")
 
 
 def generate_stage(
-    scene: Scene, conditions: Path, source: dict, folder: Path, generator: str, seed: int
+    scene: Scene, conditions: Path, source: dict, folder: Path, choice: BackendChoice, seed: int
 ) -> StageRecord:
     """Generate the edited Scene of a conditions folder into ``folder``."""
-    from generator import backend
-
-    chosen = backend(generator)
 
     def make(draft: Path, progress: Bar) -> dict:
         from dwgs.datasets import folder as scene_folder
         from generator.conditions import read
 
-        edited = chosen.generate(read(conditions, scene), seed, progress.count)
+        generator = choice.open(parts)
+        for note in generator.check(scene):
+            say(note)
+        edited = generator.generate(read(conditions, scene), seed, progress.count)
         scene_folder.write(edited, draft)
-        return {"generator": generator, "frames": len(edited.all_frames())}
+        return {"generator": generator.name, "frames": len(edited.all_frames())}
 
-    inputs = {"source": source, "generator": generator, "seed": seed}
-    return run_stage(folder, "generate", inputs, make)
+    inputs = {"source": source, "generator": choice.key(), "seed": seed}
+    with unfinished(folder, stage_key("generate", inputs)) as parts:
+        return run_stage(folder, "generate", inputs, make)

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from dwgs.cli.backend import BackendOptions
 from dwgs.cli.condition import condition_stage, insertion_key
 from dwgs.cli.distill import distill_config, distill_stage
 from dwgs.cli.films import film_stage
@@ -28,10 +29,9 @@ class Insert:
     clip: ClipOptions
     choice: VehicleOptions
     placement: PlacementOptions
+    generator: BackendOptions
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for everything; stages whose inputs have not changed are not run again."""
-    generator: str = "composite"
-    """Backend that makes the pixels."""
     draft: bool = False
     """Reconstruct the background with half the Gaussians and a tenth of the steps."""
     distill_steps: int | None = None
@@ -43,13 +43,12 @@ class Insert:
         """Run the chain."""
         from dwgs.datasets import folder as scene_folder
         from dwgs.formats import asset_folder, background_folder
-        from generator import backend
         from viewer.scene_graph import SceneGraph
 
         start = time.perf_counter()
-        backend(self.generator)  # a backend that cannot work says so before an hour is spent
         clip, stages = self.clip, {}
         scene = clip.open()
+        self.generator.open().check(scene)  # a backend that cannot work says so before an hour is spent
         insertion, notes = author_insertion(clip, scene, self.choice, self.placement)
         for note in notes:
             say(note)

@@ -204,20 +204,30 @@ def adapter_config(path: Path) -> dict[str, Any]:
 
 def require_fit(config: Mapping[str, Any], transformer: WanVACETransformer3DModel, path: Path | None = None) -> None:
     """Raise `InputError` unless an adapter of that config was made for this backbone."""
+    require_shape(config, transformer.config, path)
     who = f"the adapter in '{path}'" if path else "the adapter"
-    ours, theirs = shape_of(transformer.config), config["backbone"]
-    for key, value in ours.items():
-        if theirs.get(key) != value:
-            raise InputError(
-                f"{who} was made for a backbone with {key} {theirs.get(key)}, this one has {value}; "
-                "give the backbone it was trained on"
-            )
     fingerprint = fingerprint_of(transformer)
     if config["fingerprint"] != fingerprint:
         raise InputError(
             f"{who} was made for the backbone with fingerprint {config['fingerprint']}, this one, of the same "
             f"shape, has {fingerprint}; give the backbone it was trained on"
         )
+
+
+def require_shape(config: Mapping[str, Any], backbone: Mapping[str, Any], path: Path | None = None) -> None:
+    """Raise `InputError` unless an adapter of that config was made for a backbone of that config's shape."""
+    who = f"the adapter in '{path}'" if path else "the adapter"
+    for key, value in shape_of(backbone).items():
+        if config["backbone"].get(key) != value:
+            raise InputError(
+                f"{who} was made for a backbone with {key} {config['backbone'].get(key)}, this one has {value}; "
+                "give the backbone it was trained on"
+            )
+
+
+def parameters_of(config: Mapping[str, Any], path: Path) -> int:
+    """How many an adapter of that config has."""
+    return skeleton(PointAdapter, config, path).num_parameters()
 
 
 def shape_of(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,67 +6,17 @@ flow the other way round: its t is 1 - sigma, its velocity has the other sign.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from diffusers import FlowMatchEulerDiscreteScheduler, UniPCMultistepScheduler
 from torch import Tensor
 
 from dwgs.scene.errors import InputError
+from generator.wan.settings import Sampling
 
 TRAIN_STEPS = 1000
 """Wan's timestep at sigma = 1."""
-
-Sampler = Literal["unipc", "euler"]
-"""How the flow is integrated."""
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """How a clip is denoised. Steps and guidance are the paper's; it gives neither sampler nor shift."""
-
-    sampler: Sampler = "unipc"
-    """UniPC is what Wan2.1 is published with."""
-    steps: int = 30
-    """Evaluations of the flow."""
-    shift: float = 3.0
-    """Of the noise levels towards noise, as Wan2.1 is published for 480 rows."""
-    guidance: float = 2.5
-    """Weight of what the condition changes; 1 evaluates the condition alone."""
-    guided: float = 1.0
-    """Share of the steps, from the first on, that are guided; the others cost half."""
-    batched: bool = True
-    """Whether both sides of the guidance go through the network at once: faster, with more memory."""
-
-    def __post_init__(self) -> None:
-        if self.steps < 1 or not 0 <= self.guided <= 1 or self.shift <= 0:
-            raise InputError(
-                "sampling takes at least one step, a positive shift and a guided share of 0 to 1, got "
-                f"{self.steps}, {self.shift} and {self.guided}"
-            )
-
-    def scheduler(self) -> Any:
-        """The integrator, from noise to data."""
-        if self.sampler == "euler":
-            scheduler = FlowMatchEulerDiscreteScheduler(num_train_timesteps=TRAIN_STEPS, shift=self.shift)
-        else:
-            scheduler = UniPCMultistepScheduler(
-                num_train_timesteps=TRAIN_STEPS,
-                prediction_type="flow_prediction",
-                use_flow_sigmas=True,
-                flow_shift=self.shift,
-            )
-        scheduler.set_timesteps(self.steps)
-        return scheduler
-
-    @property
-    def evaluations(self) -> int:
-        """Forward passes of one clip."""
-        return self.steps + (sum(map(self.is_guided, range(self.steps))))
-
-    def is_guided(self, step: int) -> bool:
-        """Whether a step, counted from 0, looks at both sides."""
-        return self.guidance != 1 and step < self.guided * self.steps
 
 
 @dataclass(frozen=True)
@@ -101,7 +51,7 @@ def denoise(
         on_step: Called with the number of steps done.
     """
     require_sound_cache(model)
-    scheduler = sampling.scheduler()
+    scheduler = scheduler_of(sampling)
     x = noise.float()
     for step, timestep in enumerate(scheduler.timesteps):
         if not sampling.is_guided(step):
@@ -118,6 +68,21 @@ def denoise(
         if on_step:
             on_step(step + 1)
     return x
+
+
+def scheduler_of(sampling: Sampling) -> Any:
+    """The integrator, from noise to data."""
+    if sampling.sampler == "euler":
+        scheduler = FlowMatchEulerDiscreteScheduler(num_train_timesteps=TRAIN_STEPS, shift=sampling.shift)
+    else:
+        scheduler = UniPCMultistepScheduler(
+            num_train_timesteps=TRAIN_STEPS,
+            prediction_type="flow_prediction",
+            use_flow_sigmas=True,
+            flow_shift=sampling.shift,
+        )
+    scheduler.set_timesteps(sampling.steps)
+    return scheduler
 
 
 def _velocity(model: Callable[..., Any], x: Tensor, timestep: Tensor, sides: list[Side]) -> list[Tensor]:

@@ -83,7 +83,7 @@ def skeleton(kind: type[M], config: Mapping[str, Any], folder: Path) -> M:
             raise InputError(f"{key} of a model is 1 to {limit}, '{folder}' says {config[key]}; download it again")
     try:
         with torch.device("meta"):
-            model = kind.from_config(config)
+            model = kind.from_config(dict(config))
     except (TypeError, ValueError, KeyError, RuntimeError) as error:
         raise InputError(f"'{folder}/config.json' describes no {kind.__name__} ({error}); download it again") from None
     assert isinstance(model, kind)

@@ -74,6 +74,12 @@ class Backbone:
         """The transformer without weights: names, shapes and nothing else."""
         return skeleton(WanVACETransformer3DModel, self.config, self.folder / "transformer")
 
+    @property
+    def parameters(self) -> tuple[int, int]:
+        """Of the whole transformer, and of its VACE branch."""
+        sizes = {name: p.numel() for name, p in self.skeleton.named_parameters()}
+        return sum(sizes.values()), sum(size for name, size in sizes.items() if name.startswith("vace_"))
+
     def load_transformer(self, dtype: torch.dtype = torch.float32) -> WanVACETransformer3DModel:
         """The transformer with its VACE branch; what must stay float32 does."""
         return _quietly(WanVACETransformer3DModel, self.folder / "transformer", dtype)

@@ -50,8 +50,12 @@ def test_nothing_says_where_the_vehicle_drives(refused):
 
 
 def test_an_unknown_generator_names_those_that_work(refused):
-    message = refused("insert", "street", "--vehicle", "street", "--generator", "wan-point", *TOY)
+    message = refused("insert", "street", "--vehicle", "street", "--backend", "wan-point", *TOY)
     assert "composite" in message
+
+
+def test_a_backend_without_its_weights(refused):
+    assert "--backbone DIR" in refused("insert", "street", "--vehicle", "street", "--backend", "wan", *TOY)
 
 
 def test_a_trajectory_shorter_than_the_clip(refused, tmp_path):

@@ -9,7 +9,7 @@ from generator import Generator, backend
 
 
 def test_an_unknown_backend_is_refused_with_those_that_exist():
-    with pytest.raises(InputError, match="no generator is called 'wan-point'; there is composite"):
+    with pytest.raises(InputError, match="no backend is called 'wan-point'; there is composite"):
         backend("wan-point")
 
 

@@ -101,17 +101,17 @@ def test_a_folder_comes_back_bit_by_bit(tmp_path, control):
 
 
 @pytest.fixture
-def adapter_folder(tmp_path):
+def saved(tmp_path):
     attached("zero")[1].save(tmp_path / "adapter")
     return tmp_path / "adapter"
 
 
-def test_another_backbone_is_refused_by_name(adapter_folder):
+def test_another_backbone_is_refused_by_name(saved):
     other = WanVACETransformer3DModel.from_config({**tiny_transformer().config, "ffn_dim": 128})
     with pytest.raises(InputError, match="made for a backbone with ffn_dim 96, this one has 128"):
-        load_adapter(adapter_folder, other)
+        load_adapter(saved, other)
     with pytest.raises(InputError, match="of the same shape, has"):
-        load_adapter(adapter_folder, tiny_transformer(seed=1))
+        load_adapter(saved, tiny_transformer(seed=1))
 
 
 def test_a_whole_vace_folder_is_no_adapter(backbone_folder):
@@ -119,24 +119,24 @@ def test_a_whole_vace_folder_is_no_adapter(backbone_folder):
         load_adapter(backbone_folder / "transformer", tiny_transformer())
 
 
-def test_a_damaged_folder_is_refused(adapter_folder):
-    weights = adapter_folder / "diffusion_pytorch_model.safetensors"
+def test_a_damaged_folder_is_refused(saved):
+    weights = saved / "diffusion_pytorch_model.safetensors"
     weights.write_bytes(weights.read_bytes()[:-100])
     with pytest.raises(InputError, match="damaged or cut short"):
-        load_adapter(adapter_folder, tiny_transformer())
+        load_adapter(saved, tiny_transformer())
     weights.unlink()
     with pytest.raises(InputError, match="there are none in"):
-        load_adapter(adapter_folder, tiny_transformer())
+        load_adapter(saved, tiny_transformer())
 
 
-def test_a_config_that_does_not_fit_its_weights_is_refused(adapter_folder):
-    config = json.loads((adapter_folder / "config.json").read_text())
-    (adapter_folder / "config.json").write_text(json.dumps({**config, "layers": [0, 1, 2, 3]}))
+def test_a_config_that_does_not_fit_its_weights_is_refused(saved):
+    config = json.loads((saved / "config.json").read_text())
+    (saved / "config.json").write_text(json.dumps({**config, "layers": [0, 1, 2, 3]}))
     with pytest.raises(InputError, match=r"lacks the tensor blocks\.3"):
-        load_adapter(adapter_folder, tiny_transformer())
-    (adapter_folder / "config.json").write_text(json.dumps({**config, "null": "zero latents"}))
+        load_adapter(saved, tiny_transformer())
+    (saved / "config.json").write_text(json.dumps({**config, "null": "zero latents"}))
     with pytest.raises(InputError, match="says zero latents; train anew"):
-        load_adapter(adapter_folder, tiny_transformer())
+        load_adapter(saved, tiny_transformer())
 
 
 def test_impossible_layers_are_refused():

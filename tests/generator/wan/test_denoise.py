@@ -3,7 +3,8 @@ import torch
 from diffusers import FirstBlockCacheConfig
 
 from dwgs.scene import InputError
-from generator.wan.denoise import Sampling, Side, denoise
+from generator.wan.denoise import Side, denoise
+from generator.wan.settings import Sampling
 from generator.wan.tiny import tiny_transformer
 
 SHAPE = (1, 16, 3, 4, 6)
