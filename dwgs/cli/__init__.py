@@ -16,6 +16,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from dwgs.cli.inspect import Inspect
     from dwgs.cli.reconstruct import Reconstruct
     from dwgs.cli.render import Render
+    from dwgs.cli.train import Train
     from dwgs.scene import InputError
 
     verbs = {
@@ -25,6 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "generate": Generate,
         "distill": Distill,
         "render": Render,
+        "train": Train,
         "inspect": Inspect,
     }
     verb = tyro.extras.subcommand_cli_from_dict(

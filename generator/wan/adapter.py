@@ -8,7 +8,7 @@ as they do for the backbone.
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from diffusers import ConfigMixin, ModelMixin, WanVACETransformer3DModel
@@ -18,12 +18,9 @@ from torch import nn
 
 from dwgs.files import new_folder
 from dwgs.scene.errors import InputError
-from generator.wan.encode import MASK_CHANNELS, MaskTime
+from generator.wan.encode import MASK_CHANNELS
 from generator.wan.folder import config_of, require_tensors, skeleton
-
-Init = Literal["vace", "zero", "random"]
-"""What an adapter starts as: the backbone's VACE branch, nothing at all, or noise. The paper does not say; ours is
-``vace``."""
+from generator.wan.settings import Init, MaskTime
 
 CHANNELS = ("inactive", "point", "reactive mask", "point mask")
 """Order of what the adapter sees: latents, latents, 64 channels, 64 channels."""

@@ -1,7 +1,6 @@
 """Pixels and masks to latents and back; network layout [B, C, T, H, W] begins and ends here."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import torch
@@ -13,16 +12,12 @@ from torch.nn import functional
 from generator.conditions.raster import GREY
 from generator.long_video import STRIDE
 from generator.wan.clip import Clip
+from generator.wan.settings import MaskTime
 
 SPACE = 8
 """Pixels along each side of a latent pixel."""
 MASK_CHANNELS = SPACE * SPACE
 """A mask keeps every pixel: those of a latent pixel become channels."""
-
-MaskTime = Literal["group", "vace"]
-"""How masks of frames become masks of latent frames: ``group`` takes any of the (up to four) frames that a latent
-frame encodes, ``vace`` picks one by nearest-exact resampling, as Wan2.1-VACE was trained, though the pick may lie in
-a neighbour's group."""
 
 
 class Codec:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from generator.wan.clip import Clip
 from generator.wan.denoise import Side, denoise
-from generator.wan.encode import Codec, ControlLatents, MaskTime
+from generator.wan.encode import Codec, ControlLatents
 from generator.wan.memory import MemoryPlan
-from generator.wan.settings import Sampling
+from generator.wan.settings import MaskTime, Sampling
 from generator.wan.weights import Text
 
 

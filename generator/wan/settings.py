@@ -11,6 +11,15 @@ from generator.wan.memory import Weights
 Sampler = Literal["unipc", "euler"]
 """How the flow is integrated."""
 
+Init = Literal["vace", "zero", "random"]
+"""What an adapter starts as: the backbone's VACE branch, nothing at all, or noise. The paper does not say; ours is
+``vace``."""
+
+MaskTime = Literal["group", "vace"]
+"""How masks of frames become masks of latent frames: ``group`` takes any of the (up to four) frames that a latent
+frame encodes, ``vace`` picks one by nearest-exact resampling, as Wan2.1-VACE was trained, though the pick may lie in
+a neighbour's group."""
+
 
 @dataclass(frozen=True)
 class Sampling:

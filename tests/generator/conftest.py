@@ -6,8 +6,6 @@ import pytest
 from dwgs.scene import Camera, Frame, Insertion, Scene, Trajectory, VehiclePoints
 from generator.conditions import ConditionFrame, Conditions
 from generator.conditions.raster import GREY
-from generator.wan.adapter import new_adapter
-from generator.wan.tiny import tiny_transformer, write_tiny_backbone
 
 HEIGHT, WIDTH = 32, 48
 
@@ -15,6 +13,8 @@ HEIGHT, WIDTH = 32, 48
 @pytest.fixture(scope="session")
 def backbone_folder(tmp_path_factory):
     """A Wan2.1-VACE folder of toy size."""
+    from generator.wan.tiny import write_tiny_backbone
+
     folder = tmp_path_factory.mktemp("wan") / "backbone"
     write_tiny_backbone(folder)
     return folder
@@ -23,6 +23,9 @@ def backbone_folder(tmp_path_factory):
 @pytest.fixture(scope="session")
 def adapter_folder(tmp_path_factory):
     """A PointAdapter for that backbone, as it starts."""
+    from generator.wan.adapter import new_adapter
+    from generator.wan.tiny import tiny_transformer
+
     folder = tmp_path_factory.mktemp("wan") / "adapter"
     new_adapter(tiny_transformer()).save(folder)
     return folder
