@@ -47,7 +47,7 @@ def test_the_vehicle_is_distilled_from_it(folder):
 
 
 def test_no_parts_are_left_behind(folder):
-    assert not list((folder / "out").glob(".*-parts"))
+    assert not list((folder / "out").glob(".*.parts"))
 
 
 def test_a_killed_generation_keeps_its_clips(folder, monkeypatch, capsys):
@@ -69,7 +69,7 @@ def test_a_killed_generation_keeps_its_clips(folder, monkeypatch, capsys):
     with pytest.raises(SystemExit) as exit:
         main(command)
     assert exit.value.code == 130
-    assert len(list(folder.glob(".again-parts/*/*.mkv"))) == 1
+    assert len(list(folder.glob(".again.parts/*/*.mkv"))) == 1
     assert not (folder / "again").exists()
     done.clear()
 
@@ -81,4 +81,4 @@ def test_a_killed_generation_keeps_its_clips(folder, monkeypatch, capsys):
     main(command)
     assert len(done) == 2  # the two segments: the anchors were kept
     assert scene_folder.read(folder / "again").frames["front"]
-    assert not list(folder.glob(".again-parts"))
+    assert not list(folder.glob(".again.parts"))

@@ -62,7 +62,7 @@ def unfinished(folder: Path, key: str) -> Iterator[Path]:
     They are there again when the stage is run again after it failed or was killed; they are gone when it has ended
     well, and when it is run with another key.
     """
-    place = folder.parent / f".{folder.name}-parts"
+    place = folder.parent / f".{folder.name}.parts"
     for other in place.glob("*"):
         if other.name != key:
             shutil.rmtree(other)
