@@ -51,6 +51,7 @@ class Train:
 
     def run(self) -> None:
         """Leave ``adapter/``, and what led to it."""
+        import torch
         from accelerate import PartialState
 
         from generator.training.cache import Cache
@@ -59,7 +60,7 @@ class Train:
         if not self.scenes:
             raise InputError("training takes at least one drive; name a folder, or street")
         clips, config = self.configs()
-        process = PartialState()
+        process = PartialState(cpu=not torch.cuda.is_available())
         with process.main_process_first():
             if process.is_main_process:
                 self._make_toy()
@@ -121,8 +122,9 @@ class Train:
         from generator.training.loop import Stepped, Trainer, Validated
 
         trainer = Trainer(cache, backbone, config, self.out)
-        say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} are held out")
-        if trainer.step:
+        if is_main:
+            say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} are held out")
+        if is_main and trainer.step:
             say(f"going on after step {trainer.step}")
         log = Log(self.out, trainer.step) if is_main else None
         with bar("train") as progress:

@@ -72,7 +72,7 @@ class Trainer:
 
     def __init__(self, cache: Cache, backbone: Backbone, config: TrainingConfig, folder: Path) -> None:
         self.cache, self.backbone, self.config, self.folder = cache, backbone, config, Path(folder)
-        self.accelerator = Accelerator()
+        self.accelerator = Accelerator(cpu=not torch.cuda.is_available())
         processes = self.accelerator.num_processes
         if config.batch % processes:
             raise InputError(f"a batch divides among the processes, {config.batch} clips among {processes} do not")

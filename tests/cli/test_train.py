@@ -1,14 +1,20 @@
 """`dwgs train` on the embedded street, at toy size, as a person runs it."""
 
 import json
+import os
+import subprocess
+import sys
 
 import pytest
+import torch
+from safetensors.torch import load_file
 
 from dwgs.cli import main
 from dwgs.datasets import folder as scene_folder
 from generator.wan.settings import WanSettings
 from generator.wan.wan import WanGenerator
 
+WEIGHTS = "diffusion_pytorch_model.safetensors"
 TOY = ["--preset", "tiny", "--size", "48x32", "--batch", "2"]
 
 
@@ -46,6 +52,20 @@ def test_more_steps_go_on_from_the_last_checkpoint(out, drive, capsys):
     assert "going on after step 3" in said
     assert "encode       unchanged, kept" in said
     assert [path.name for path in sorted((out / "checkpoints").iterdir())] == ["00000003", "00000005"]
+
+
+def test_two_processes_learn_what_one_does(drive, tmp_path):
+    command = ["-m", "dwgs", "train", str(drive), *TOY, "--steps", "3"]
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc_per_node", "2"]
+    for run, before in (("one", []), ("two", launch)):
+        whole = [sys.executable, *before, *command, "-o", str(tmp_path / run)]
+        subprocess.run(whole, check=True, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    logs = [(tmp_path / run / "log.jsonl").read_text().splitlines() for run in ("one", "two")]
+    losses = [[json.loads(line)["loss"] for line in log] for log in logs]
+    assert len(losses[0]) == 3
+    assert losses[0] == pytest.approx(losses[1], rel=1e-5)
+    ours, theirs = (load_file(tmp_path / run / "adapter" / WEIGHTS) for run in ("one", "two"))
+    assert all(torch.allclose(ours[name], theirs[name], atol=1e-5) for name in ours | theirs)
 
 
 @pytest.mark.parametrize(
