@@ -170,7 +170,7 @@ class Trainer:
                 shutil.copytree(self.backbone.folder / "vae", draft / "vae")
                 shutil.copy(self.backbone.folder / PROMPT_FILE, draft / PROMPT_FILE)
                 self.transformer.save_pretrained(draft / "transformer")
-            adapter.register_to_config(fingerprint=fingerprint_of(self.transformer))
+            adapter.register_to_config(fingerprint=fingerprint_of(self.transformer.scale_shift_table))
             adapter.save(place)
         return steered, place
 

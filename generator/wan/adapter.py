@@ -14,7 +14,7 @@ import torch
 from diffusers import ConfigMixin, ModelMixin, WanVACETransformer3DModel
 from diffusers.configuration_utils import register_to_config
 from diffusers.models.transformers.transformer_wan_vace import WanVACETransformerBlock
-from torch import nn
+from torch import Tensor, nn
 
 from dwgs.files import new_folder
 from dwgs.scene.errors import InputError
@@ -94,7 +94,7 @@ class PointAdapter(ModelMixin, ConfigMixin):
         Raises:
             InputError: It was made for another backbone.
         """
-        require_fit(self.config, transformer)
+        require_fit(self.config, transformer.config, fingerprint_of(transformer.scale_shift_table))
         transformer.requires_grad_(False)
         transformer.vace_patch_embedding = self.patch_embedding
         transformer.vace_blocks = self.blocks
@@ -106,6 +106,9 @@ class PointAdapter(ModelMixin, ConfigMixin):
         """Write a folder of ``config.json`` and safetensors that `load_adapter` reads: whole or not at all."""
         with new_folder(path) as draft:
             self.save_pretrained(draft)
+            mode = (draft / "config.json").stat().st_mode
+            for file in draft.glob("*.safetensors"):
+                file.chmod(mode)  # the library leaves weights to their owner alone
 
 
 def new_adapter(
@@ -148,7 +151,7 @@ def new_adapter(
             )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        adapter = PointAdapter(shape_of(config), fingerprint_of(transformer), layers, init, mask_time)
+        adapter = PointAdapter(shape_of(config), fingerprint_of(transformer.scale_shift_table), layers, init, mask_time)
     if init != "random":
         _copy_branch(transformer, adapter)
     if init == "zero":
@@ -178,10 +181,25 @@ def load_adapter(
         InputError: The folder is no adapter, is incomplete, or was made for another backbone.
     """
     path = Path(path)
-    config = adapter_config(path)
-    require_fit(config, transformer, path)
-    require_tensors(path, skeleton(PointAdapter, config, path))
+    require_adapter(path, transformer.config, fingerprint_of(transformer.scale_shift_table))
     return PointAdapter.from_pretrained(path, torch_dtype=dtype, use_safetensors=True, local_files_only=True)
+
+
+def require_adapter(path: Path, backbone: Mapping[str, Any], fingerprint: str) -> dict[str, Any]:
+    """The config of an adapter's folder, once it is clear that the folder is whole and fits a backbone.
+
+    Args:
+        path: Of the adapter.
+        backbone: The backbone's config.
+        fingerprint: The backbone's, see `fingerprint_of`.
+
+    Raises:
+        InputError: It is no adapter, is incomplete, or was made for another backbone.
+    """
+    config = adapter_config(path)
+    require_fit(config, backbone, fingerprint, path)
+    require_tensors(path, skeleton(PointAdapter, config, path))
+    return config
 
 
 def adapter_config(path: Path) -> dict[str, Any]:
@@ -199,20 +217,10 @@ def adapter_config(path: Path) -> dict[str, Any]:
     return config
 
 
-def require_fit(config: Mapping[str, Any], transformer: WanVACETransformer3DModel, path: Path | None = None) -> None:
-    """Raise `InputError` unless an adapter of that config was made for this backbone."""
-    require_shape(config, transformer.config, path)
-    who = f"the adapter in '{path}'" if path else "the adapter"
-    fingerprint = fingerprint_of(transformer)
-    if config["fingerprint"] != fingerprint:
-        raise InputError(
-            f"{who} was made for the backbone with fingerprint {config['fingerprint']}, this one, of the same "
-            f"shape, has {fingerprint}; give the backbone it was trained on"
-        )
-
-
-def require_shape(config: Mapping[str, Any], backbone: Mapping[str, Any], path: Path | None = None) -> None:
-    """Raise `InputError` unless an adapter of that config was made for a backbone of that config's shape."""
+def require_fit(
+    config: Mapping[str, Any], backbone: Mapping[str, Any], fingerprint: str, path: Path | None = None
+) -> None:
+    """Raise `InputError` unless an adapter of that config was made for a backbone of that config and fingerprint."""
     who = f"the adapter in '{path}'" if path else "the adapter"
     for key, value in shape_of(backbone).items():
         if config["backbone"].get(key) != value:
@@ -220,6 +228,11 @@ def require_shape(config: Mapping[str, Any], backbone: Mapping[str, Any], path: 
                 f"{who} was made for a backbone with {key} {config['backbone'].get(key)}, this one has {value}; "
                 "give the backbone it was trained on"
             )
+    if config["fingerprint"] != fingerprint:
+        raise InputError(
+            f"{who} was made for the backbone with fingerprint {config['fingerprint']}, this one, of the same "
+            f"shape, has {fingerprint}; give the backbone it was trained on"
+        )
 
 
 def parameters_of(config: Mapping[str, Any], path: Path) -> int:
@@ -237,10 +250,9 @@ def in_channels(backbone: Mapping[str, Any]) -> int:
     return 2 * backbone["in_channels"] + 2 * MASK_CHANNELS
 
 
-def fingerprint_of(transformer: WanVACETransformer3DModel) -> str:
-    """Tells one backbone from another of the same shape, at whatever precision it is loaded."""
-    table = transformer.scale_shift_table
-    if table.is_meta:
+def fingerprint_of(scale_shift_table: Tensor) -> str:
+    """Tells one backbone from another of the same shape by its last modulation, at whatever precision it is loaded."""
+    if scale_shift_table.is_meta:
         return "none"
-    rounded = table.detach().to("cpu", torch.bfloat16).view(torch.int16)
+    rounded = scale_shift_table.detach().to("cpu", torch.bfloat16).view(torch.int16)
     return hashlib.sha256(rounded.numpy().tobytes()).hexdigest()[:16]

@@ -72,6 +72,15 @@ def tensor_shapes(folder: Path) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
+def tensor_of(folder: Path, name: str) -> torch.Tensor:
+    """One tensor of a model's folder whose files were checked; only it is read."""
+    for file in weight_files(folder):
+        with safe_open(file, framework="pt") as tensors:
+            if name in tensors.keys():  # noqa: SIM118  (no mapping)
+                return tensors.get_tensor(name)
+    raise InputError(f"'{folder}' lacks the tensor {name}; download it again")
+
+
 def skeleton(kind: type[M], config: Mapping[str, Any], folder: Path) -> M:
     """The model that a config describes, without weights: names, shapes and nothing else.
 

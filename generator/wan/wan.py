@@ -17,8 +17,9 @@ from dwgs.video import LosslessVideo, write_lossless
 from generator.conditions.conditions import ConditionFrame, Conditions
 from generator.generator import Capabilities
 from generator.long_video import CLIP, Pass, plan, seen
-from generator.wan.adapter import adapter_config, load_adapter, parameters_of, require_shape
+from generator.wan.adapter import adapter_config, fingerprint_of, load_adapter, parameters_of, require_adapter
 from generator.wan.clip import Clip
+from generator.wan.folder import tensor_of
 from generator.wan.memory import GB, Footprint, MemoryPlan, Weights, plan_memory, table
 from generator.wan.network import Network, place
 from generator.wan.settings import WanSettings
@@ -33,7 +34,8 @@ class WanGenerator:
 
     Args:
         settings: Folders, sampling, devices. The folders are checked now, and loaded when work begins.
-        parts: Folder where finished clips are kept, so that a run that was killed goes on where it was.
+        parts: Folder where finished clips are kept, so that a run of the same settings, conditions and seed that was
+            killed goes on where it was.
 
     Raises:
         InputError: A folder is incomplete or does not fit the other, or a device is not there.
@@ -44,7 +46,8 @@ class WanGenerator:
         self.parts = parts
         self.backbone = Backbone.open(settings.backbone)
         if settings.adapter is not None:
-            require_shape(adapter_config(settings.adapter), self.backbone.skeleton.config, settings.adapter)
+            table = tensor_of(settings.backbone / "transformer", "scale_shift_table")
+            require_adapter(settings.adapter, self.backbone.skeleton.config, fingerprint_of(table))
         self.devices = settings.devices or ("cuda" if torch.cuda.is_available() else "cpu",)
         for device in self.devices:
             _require_device(device)

@@ -121,6 +121,22 @@ def test_what_it_needs_is_said_before_anything_is_loaded(settings, conditions, m
         WanGenerator(settings).check(conditions(5).scene)
 
 
+def test_an_adapter_that_does_not_fit_is_refused_before_anything_is_loaded(settings, tmp_path):
+    from generator.wan.tiny import write_tiny_backbone
+
+    other, broken = tmp_path / "other", tmp_path / "broken"
+    write_tiny_backbone(other, seed=1)
+    with pytest.raises(InputError, match="this one, of the same shape, has"):
+        WanGenerator(replace(settings, backbone=other))
+    shutil.copytree(settings.adapter, broken)
+    weights = broken / "diffusion_pytorch_model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-1])
+    with pytest.raises(InputError, match="damaged or cut short"):
+        WanGenerator(replace(settings, adapter=broken))
+    with pytest.raises(InputError, match="no PointAdapter but WanVACETransformer3DModel with 96"):
+        WanGenerator(replace(settings, adapter=settings.backbone / "transformer"))
+
+
 def test_a_backbone_that_is_incomplete_is_refused_in_one_sentence(settings, tmp_path):
     folder = tmp_path / "backbone"
 
