@@ -40,6 +40,8 @@ class Train:
     """What learns; all is the paper's ablation without an adapter on a frozen backbone."""
     strategy: Literal["global-to-local", "autoregressive"] = "global-to-local"
     """What clips are taught to be given: every fourth frame, or the first."""
+    points: Literal["discs", "pixels"] = "discs"
+    """How the vehicle's points are drawn; pixels is the paper's ablation."""
     init: Literal["vace", "zero", "random"] = "vace"
     """What the adapter starts as."""
     frames: Annotated[str | None, tyro.conf.arg(metavar="FIRST-LAST")] = None
@@ -78,7 +80,7 @@ class Train:
         asked = {"steps": self.steps, "batch": self.batch, "rate": self.rate}
         asked = {name: value for name, value in asked.items() if value is not None}
         config = replace(config, trains=self.trains, init=self.init, seed=self.seed, **asked)
-        return replace(clips, strategy=self.strategy, seed=self.seed), config
+        return replace(clips, strategy=self.strategy, points=self.points, seed=self.seed), config
 
     @property
     def _backbone_folder(self) -> Path:

@@ -7,6 +7,7 @@ import numpy as np
 
 from dwgs.scene import InputError, Insertion, Scene, Track
 from generator.conditions import ConditionFrame, make_conditions
+from generator.conditions.conditions import PointStyle
 from generator.conditions.points import points_of_track
 from generator.training.config import ClipConfig
 
@@ -39,7 +40,7 @@ def clips_of(scene: Scene, config: ClipConfig) -> Iterator[TrainingClip]:
     for track in scene.tracks:
         if not track.is_vehicle:
             continue
-        frames = _condition_frames(scene, track)
+        frames = _condition_frames(scene, track, config.points)
         for stride in config.strides:
             reach = (config.frames - 1) * stride + 1
             for first in range(0, len(frames) - reach + 1, config.hop * stride):
@@ -48,7 +49,7 @@ def clips_of(scene: Scene, config: ClipConfig) -> Iterator[TrainingClip]:
                     yield TrainingClip(scene.name, track.id, stride, clip)
 
 
-def _condition_frames(scene: Scene, track: Track) -> tuple[ConditionFrame, ...]:
+def _condition_frames(scene: Scene, track: Track, points: PointStyle) -> tuple[ConditionFrame, ...]:
     """Conditions of the longest run of the main camera's frames that the track covers; none without points."""
     recorded = scene.frames[scene.main_camera]
     covered = track.trajectory.covers(np.array([frame.camera.time for frame in recorded]))
@@ -60,6 +61,6 @@ def _condition_frames(scene: Scene, track: Track) -> tuple[ConditionFrame, ...]:
         vehicle, size = points_of_track(scene, track, WINDOW)
         insertion = Insertion(vehicle, size, track.trajectory, track.category)
         seen = replace(scene, frames={scene.main_camera: frames})
-        return make_conditions(seen, insertion).frames[scene.main_camera]
+        return make_conditions(seen, insertion, points=points).frames[scene.main_camera]
     except InputError:  # too few points, or never in view: such a vehicle teaches nothing
         return ()

@@ -20,6 +20,8 @@ class ClipConfig:
     """A vehicle's clips begin so many steps of the clip apart."""
     strategy: Strategy = "global-to-local"
     """What GT-aware clips are given: every fourth frame, or (autoregressive) the first."""
+    points: Literal["discs", "pixels"] = "discs"
+    """How points are drawn; ``pixels`` is the paper's ablation."""
     seed: int = 0
     """Of how given frames are degraded."""
 
