@@ -211,6 +211,11 @@ def adapter_config(path: Path) -> dict[str, Any]:
             f"'{path}' is no PointAdapter but {kind} with {config.get('vace_in_channels')} condition channels; "
             "give the folder that `dwgs train` wrote, or take --backend vace, which needs none"
         )
+    for key, type_ in (("backbone", dict), ("fingerprint", str), ("layers", list), ("mask_time", str)):
+        if not isinstance(config.get(key), type_):
+            raise InputError(
+                f"'{path}/config.json' says {config.get(key)} for {key}; give the folder as it was written"
+            )
     for key, ours in (("channels", list(CHANNELS)), ("null", NULL)):
         if config.get(key) != ours:
             raise InputError(f"this version's adapters have {key} {ours}, '{path}' says {config.get(key)}; train anew")

@@ -19,6 +19,7 @@ _LIMITS = {
     "ffn_dim": 2**17,
     "base_dim": 4096,
 }
+_LONGEST = 256
 M = TypeVar("M", bound=ConfigMixin)
 _STEMS = ("diffusion_pytorch_model", "model")
 
@@ -90,6 +91,9 @@ def skeleton(kind: type[M], config: Mapping[str, Any], folder: Path) -> M:
     for key, limit in _LIMITS.items():
         if key in config and not (isinstance(config[key], int) and 0 < config[key] <= limit):
             raise InputError(f"{key} of a model is 1 to {limit}, '{folder}' says {config[key]}; download it again")
+    for key, value in config.items():
+        if isinstance(value, list) and len(value) > _LONGEST:
+            raise InputError(f"{key} of a model has at most {_LONGEST} entries, '{folder}' has {len(value)}")
     try:
         with torch.device("meta"):
             model = kind.from_config(dict(config))

@@ -134,6 +134,12 @@ def test_a_config_that_does_not_fit_its_weights_is_refused(saved):
     (saved / "config.json").write_text(json.dumps({**config, "layers": [0, 1, 2, 3]}))
     with pytest.raises(InputError, match=r"lacks the tensor blocks\.3"):
         load_adapter(saved, tiny_transformer())
+    (saved / "config.json").write_text(json.dumps({**config, "layers": [0] * 10**6}))
+    with pytest.raises(InputError, match="layers of a model has at most 256 entries"):
+        load_adapter(saved, tiny_transformer())
+    (saved / "config.json").write_text(json.dumps({**config, "backbone": None}))
+    with pytest.raises(InputError, match="says None for backbone"):
+        load_adapter(saved, tiny_transformer())
     (saved / "config.json").write_text(json.dumps({**config, "null": "zero latents"}))
     with pytest.raises(InputError, match="says zero latents; train anew"):
         load_adapter(saved, tiny_transformer())
