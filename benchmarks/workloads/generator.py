@@ -20,6 +20,7 @@ from torch import Tensor
 from benchmarks.metric import Metric
 from dwgs.metrics.image import psnr
 from dwgs.street import build_street
+from generator.conditions.raster import GREY
 from generator.training.cache import Cache, write_cache
 from generator.training.clips import TrainingClip, clips_of
 from generator.training.config import ClipConfig, TrainingConfig
@@ -59,6 +60,8 @@ def run(steps: int, streets: int) -> list[Metric]:
         curve = [event.loss for event in trainer.run() if isinstance(event, Stepped)]
         with trainer.averaged():
             rows["trained"] = score(adapted, clips)
+        rows["points"] = [masked_psnr(c.point_image, c) for c in clips]
+        rows["grey"] = [masked_psnr(np.full_like(c.video, GREY), c) for c in clips]
         rows["codec"] = [masked_psnr(codec.decode(codec.encode(c.video, np.ones_like(c.point_mask))), c) for c in clips]
         identical = resumes(cache, backbone, config, root)
     metrics = [Metric("generator.adapter_parameters_14b", float(parameters_14b()), "")]
