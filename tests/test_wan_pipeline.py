@@ -69,7 +69,7 @@ def test_a_killed_generation_keeps_its_clips(folder, monkeypatch, capsys):
     with pytest.raises(SystemExit) as exit:
         main(command)
     assert exit.value.code == 130
-    assert len(list(folder.glob(".again.parts/*/*.mkv"))) == 1
+    assert len(list(folder.glob(".again.parts/*/*.avi"))) == 1
     assert not (folder / "again").exists()
     done.clear()
 

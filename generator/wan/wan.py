@@ -188,13 +188,13 @@ class _Studio:
         finally:
             self._free.put(network)
         if self._generator.parts is not None:
-            write_lossless(self._generator.parts / f"{job.name}.mkv", images)
+            write_lossless(self._generator.parts / f"{job.name}.avi", images)
         return images
 
     def _kept(self, job: _Job) -> Path | None:
         """The file of a finished job."""
         parts = self._generator.parts
-        file = None if parts is None else parts / f"{job.name}.mkv"
+        file = None if parts is None else parts / f"{job.name}.avi"
         return file if file is not None and file.is_file() else None
 
 
