@@ -111,6 +111,22 @@ class Distill(Workload):
 
 
 @dataclass(frozen=True)
+class Generator(Workload):
+    """Whether a toy PointAdapter learns from embedded streets, on a CPU."""
+
+    steps: int = 600
+    """Of its training."""
+    streets: int = 3
+    """That teach."""
+
+    def measure(self) -> list[Metric]:
+        """Train, generate, compare."""
+        from benchmarks.workloads import generator
+
+        return generator.run(self.steps, self.streets)
+
+
+@dataclass(frozen=True)
 class Run:
     """Measure one workload."""
 
@@ -118,6 +134,7 @@ class Run:
         Annotated[Oracle, tyro.conf.subcommand("oracle")]
         | Annotated[Splat, tyro.conf.subcommand("splat")]
         | Annotated[Distill, tyro.conf.subcommand("distill")]
+        | Annotated[Generator, tyro.conf.subcommand("generator")]
     )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -9,6 +10,7 @@ from dwgs.scene import InputError, Scene
 
 if TYPE_CHECKING:
     from generator.conditions.conditions import Conditions
+    from generator.wan.settings import WanSettings
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,14 @@ class Generator(Protocol):
         """What it needs and promises."""
         ...
 
+    def check(self, scene: Scene) -> list[str]:
+        """What a person should know before it works on such a drive, a line each.
+
+        Raises:
+            InputError: It cannot work on such images here, and why.
+        """
+        ...
+
     def generate(
         self, conditions: "Conditions", seed: int, on_progress: Callable[[int, int], None] | None = None
     ) -> Scene:
@@ -48,21 +58,26 @@ class Generator(Protocol):
         Args:
             conditions: What to draw where.
             seed: Chooses among equally good answers.
-            on_progress: Called with (frames done, frames in all).
+            on_progress: Called with (work done, work in all), in frames or in steps.
         """
         ...
 
 
-BACKENDS = ("composite", "asset")
+BACKENDS = ("composite", "asset", "wan", "vace")
 """Names that `backend` knows."""
 
 
-def backend(name: str, asset: Path | None = None) -> Generator:
+def backend(
+    name: str, settings: "WanSettings | None" = None, parts: Path | None = None, asset: Path | None = None
+) -> Generator:
     """The generator of that name; it is imported only now.
 
     Args:
-        name: ``composite`` or ``asset``.
-        asset: Folder of the asset that the latter draws; by default it makes one of the vehicle's points.
+        name: ``composite`` and ``asset`` need no weights and run anywhere, ``wan`` is the paper's, ``vace`` what it
+            builds on.
+        settings: Of the latter two: where their weights are, and how they work.
+        parts: Folder where the latter two keep finished clips, so that a run that was killed goes on.
+        asset: Folder of the asset that ``asset`` draws; by default it makes one of the vehicle's points.
 
     Raises:
         InputError: No backend is called so, or it lacks what it needs.
@@ -78,4 +93,16 @@ def backend(name: str, asset: Path | None = None) -> Generator:
         from generator.asset import AssetGenerator
 
         return AssetGenerator(None if asset is None else asset_folder.read(asset))
-    raise InputError(f"no backend is called '{name}'; there is {', '.join(BACKENDS)} (they need no weights)")
+    if name not in BACKENDS:
+        raise InputError(f"no backend is called '{name}'; there is {', '.join(BACKENDS)}")
+    if settings is None:
+        raise InputError(f"'{name}' needs weights: give --backbone DIR, or take composite, which needs none")
+    if name == "wan" and settings.adapter is None:
+        raise InputError("'wan' needs a PointAdapter: give --adapter DIR, or take vace, which works without")
+    if name == "vace" and settings.adapter is not None:
+        raise InputError("'vace' takes no PointAdapter: leave --adapter out, or take wan")
+    if find_spec("diffusers") is None:
+        raise InputError(f"'{name}' needs more packages: pip install 'dwgs[wan]'; composite needs none of them")
+    from generator.wan.wan import WanGenerator
+
+    return WanGenerator(settings, parts)

@@ -17,6 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from dwgs.cli.inspect import Inspect
     from dwgs.cli.reconstruct import Reconstruct
     from dwgs.cli.render import Render
+    from dwgs.cli.train import Train
     from dwgs.scene import InputError
 
     verbs = {
@@ -27,6 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "distill": Distill,
         "render": Render,
         "evaluate": Evaluate,
+        "train": Train,
         "inspect": Inspect,
     }
     verb = tyro.extras.subcommand_cli_from_dict(

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -14,23 +14,57 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BackendChoice:
-    """Which backend makes the pixels, and how."""
+    """Which backend makes the pixels, and how; all but the first two are for ``wan`` and ``vace``."""
 
     backend: str = "composite"
-    """composite (the vehicle in the street's light), or asset (Gaussians drawn as they are, with a shadow
-    beneath); neither needs weights."""
+    """composite (the vehicle in the street's light), asset (Gaussians drawn as they are; neither needs weights,
+    and both run on any machine), wan (the paper's: Wan2.1-VACE with a PointAdapter), or vace (the same network
+    without points)."""
     asset: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Asset folder that the backend asset draws; by default one is made of the vehicle's points."""
+    backbone: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder of Wan2.1-VACE in diffusers' layout."""
+    adapter: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder of a PointAdapter, from `dwgs train`."""
+    strategy: Literal["global-to-local", "autoregressive", "single"] = "global-to-local"
+    """How a video longer than 49 frames is made: anchors first and then what lies between, segment after
+    segment, or all at once."""
+    sampler: Literal["unipc", "euler"] = "unipc"
+    """How noise becomes pixels."""
+    sampling_steps: int = 30
+    """Steps from noise to pixels."""
+    guidance: float = 2.5
+    """How much the points (for vace: the text) are stressed; 1 is not at all."""
+    guided: float = 1.0
+    """Share of the steps that are guided; 0.5 saves a quarter of the time."""
+    device: tuple[str, ...] = ()
+    """cpu, cuda, or several such as cuda:0 cuda:1, which share the work; by default the first GPU."""
+    weights: Literal["resident", "streamed", "float8"] | None = None
+    """Where the weights live: on the device, fetched block by block, or there with 8 bits; by default what
+    fits and changes no picture."""
+    attention: str | None = None
+    """One of diffusers' attention backends, such as flash; by default PyTorch's."""
 
-    def open(self) -> "Generator":
-        """The backend; what can be wrong with its files is found now."""
+    def open(self, parts: Path | None = None) -> "Generator":
+        """The backend; what can be wrong with its files is found now.
+
+        Args:
+            parts: Folder for finished parts of a video.
+        """
         from generator import backend
+        from generator.wan.settings import Sampling, WanSettings
 
-        return backend(self.backend, self.asset)
+        if self.backbone is None or self.backend in ("composite", "asset"):
+            return backend(self.backend, asset=self.asset)
+        sampling = Sampling(self.sampler, self.sampling_steps, guidance=self.guidance, guided=self.guided)
+        settings = WanSettings(
+            self.backbone, self.adapter, self.strategy, sampling, self.device, self.weights, self.attention
+        )
+        return backend(self.backend, settings, parts)
 
     def key(self) -> dict[str, Any]:
         """Everything that the pixels depend on."""
-        folders = [fingerprint(folder) for folder in (self.asset,) if folder is not None and folder.exists()]
+        folders = [fingerprint(folder) for folder in (self.asset, self.backbone, self.adapter) if folder]
         return {**asdict(self), "folders": folders}
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -22,6 +22,8 @@ class Condition:
     placement: PlacementOptions
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for the conditions."""
+    points: Literal["discs", "pixels"] = "discs"
+    """How the vehicle's points are drawn; pixels is what `dwgs train --points pixels` teaches."""
 
     def run(self) -> None:
         """Leave a conditions folder."""
@@ -29,7 +31,8 @@ class Condition:
         insertion, notes = author_insertion(self.clip, scene, self.choice, self.placement)
         for note in notes:
             say(note)
-        condition_stage(scene, insertion, insertion_key(self.clip, self.choice, self.placement), self.out)
+        key = insertion_key(self.clip, self.choice, self.placement)
+        condition_stage(scene, insertion, key, self.out, self.points)
         say(f"next: dwgs generate {self.clip.scene} --conditions {self.out} -o edited/")
 
 
@@ -52,14 +55,16 @@ def vehicle_fingerprint(path: Path) -> list:
     return fingerprint(path)
 
 
-def condition_stage(scene: Scene, insertion: Insertion, source: dict, folder: Path) -> StageRecord:
+def condition_stage(
+    scene: Scene, insertion: Insertion, source: dict, folder: Path, points: Literal["discs", "pixels"] = "discs"
+) -> StageRecord:
     """Draw the conditions of ``insertion`` into ``folder``."""
 
     def make(draft: Path, progress: Bar) -> dict:
         from generator.conditions import make_conditions, write
 
-        conditions = make_conditions(scene, insertion, progress.count)
+        conditions = make_conditions(scene, insertion, progress.count, points=points)
         write(conditions, draft)
         return {"points": len(insertion.vehicle.points), "size": [round(float(s), 3) for s in insertion.size]}
 
-    return run_stage(folder, "condition", source, make)
+    return run_stage(folder, "condition", {**source, "points": points}, make)

@@ -10,7 +10,7 @@ from dwgs.cli.backend import BackendChoice, BackendOptions
 from dwgs.cli.options import ClipOptions
 from dwgs.cli.progress import Bar, say
 from dwgs.cli.reconstruct import clip_key
-from dwgs.cli.stage import StageRecord, fingerprint, run_stage
+from dwgs.cli.stage import StageRecord, fingerprint, run_stage, stage_key, unfinished
 from dwgs.scene import Scene
 
 
@@ -44,10 +44,13 @@ def generate_stage(
         from dwgs.datasets import folder as scene_folder
         from generator.conditions import read
 
-        generator = choice.open()
+        generator = choice.open(parts)
+        for note in generator.check(scene):
+            say(note)
         edited = generator.generate(read(conditions, scene), seed, progress.count)
         scene_folder.write(edited, draft)
         return {"generator": generator.name, "frames": len(edited.all_frames())}
 
     inputs = {"source": source, "generator": choice.key(), "seed": seed}
-    return run_stage(folder, "generate", inputs, make)
+    with unfinished(folder, stage_key("generate", inputs)) as parts:
+        return run_stage(folder, "generate", inputs, make)

@@ -47,9 +47,9 @@ class Insert:
         from viewer.scene_graph import SceneGraph
 
         start = time.perf_counter()
-        self.generator.open()  # a backend that cannot work says so before an hour is spent
         clip, stages = self.clip, {}
         scene = clip.open()
+        self.generator.open().check(scene)  # a backend that cannot work says so before an hour is spent
         insertion, notes = author_insertion(clip, scene, self.choice, self.placement)
         for note in notes:
             say(note)

@@ -25,9 +25,13 @@ class Bar:
         self._title = title
         self._task = progress.add_task(title, total=None, detail="")
 
-    def count(self, done: int, total: int) -> None:
-        """Say that ``done`` of ``total`` are done."""
+    def count(self, done: int, total: int | None) -> None:
+        """Say that ``done`` of ``total`` are done; None is not known yet."""
         self._progress.update(self._task, completed=done, total=total)
+
+    def tell(self, detail: str) -> None:
+        """Say something beside the bar."""
+        self._progress.update(self._task, detail=detail)
 
     def follow(self, events: Generator[Any, None, Any]) -> Any:
         """Run a fit to its end, showing its events; gives what the fit returns."""

@@ -6,12 +6,13 @@ import gc
 import hashlib
 import json
 import platform
+import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,21 @@ def run_stage(
     return record
 
 
+@contextlib.contextmanager
+def unfinished(folder: Path, key: str) -> Iterator[Path]:
+    """A path beside ``folder`` for finished parts of a stage of that key.
+
+    They are there again when the stage is run again after it failed or was killed; they are gone when it has ended
+    well, and when it is run with another key.
+    """
+    place = folder.parent / f".{folder.name}.parts"
+    for other in place.glob("*"):
+        if other.name != key:
+            shutil.rmtree(other)
+    yield place / key
+    shutil.rmtree(place, ignore_errors=True)
+
+
 def stage_key(title: str, inputs: dict[str, Any]) -> str:
     """Hash of a stage's name, its inputs and this version of the program."""
     text = json.dumps([dwgs.__version__, title, inputs], sort_keys=True, default=str)
@@ -91,8 +107,11 @@ def write_record(record: StageRecord, path: Path, **more: Any) -> None:
 
 def versions() -> dict[str, str]:
     """Of what took part."""
-    packages = ("dwgs", "torch", "warp-lang", "numpy")
-    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+    found = {"python": platform.python_version()}
+    for name in ("dwgs", "torch", "warp-lang", "numpy", "diffusers"):
+        with contextlib.suppress(PackageNotFoundError):  # the last comes with an extra
+            found[name] = version(name)
+    return found
 
 
 def fingerprint(path: Path) -> list:

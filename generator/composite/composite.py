@@ -34,6 +34,10 @@ class CompositeGenerator:
     name = "composite"
     capabilities = Capabilities(None, 1, "cpu", needs_weights=False, deterministic=True)
 
+    def check(self, scene: Scene) -> list[str]:
+        """It works on every drive, and there is nothing to say."""
+        return []
+
     def generate(
         self, conditions: Conditions, seed: int, on_progress: Callable[[int, int], None] | None = None
     ) -> Scene:

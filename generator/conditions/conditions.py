@@ -4,6 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,11 @@ from dwgs.scene import Frame, InputError, Insertion, Scene
 from dwgs.scene.pose import transform_points
 from dwgs.scene.silhouette import NEAR
 from generator.conditions.masks import SHADOW_MARGIN, inactive_image, reactive_mask
+from generator.conditions.projection import PointProjector
 from generator.conditions.raster import GREY, PointRasterizer
+
+PointStyle = Literal["discs", "pixels"]
+"""``discs`` as in the paper, or one pixel for each point: its ablation."""
 
 VISIBILITY_POINTS = 2000
 """So many points of a vehicle tell whether a camera sees it."""
@@ -53,6 +58,7 @@ def make_conditions(
     insertion: Insertion,
     on_progress: Callable[[int, int], None] | None = None,
     shadow_margin: float = SHADOW_MARGIN,
+    points: PointStyle = "discs",
 ) -> Conditions:
     """Draw the points and masks of an insertion for every frame of a scene.
 
@@ -61,13 +67,14 @@ def make_conditions(
         insertion: What to put where.
         on_progress: Called with (frames done, frames in all).
         shadow_margin: Ground around the vehicle that may be repainted [m].
+        points: How they are drawn.
 
     Raises:
         InputError: The trajectory does not cover the clip, or no frame sees the vehicle.
     """
     require_visible(scene, insertion)
     frames = scene.all_frames()
-    rasterizer = PointRasterizer(insertion.vehicle)
+    rasterizer = PointRasterizer(insertion.vehicle) if points == "discs" else PointProjector(insertion.vehicle)
 
     def draw(frame: Frame) -> _Drawing:
         world_from_vehicle = insertion.trajectory.at(frame.camera.time)

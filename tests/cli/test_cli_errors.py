@@ -54,6 +54,10 @@ def test_an_unknown_generator_names_those_that_work(refused):
     assert "composite" in message
 
 
+def test_a_backend_without_its_weights(refused):
+    assert "--backbone DIR" in refused("insert", "street", "--vehicle", "street", "--backend", "wan", *TOY)
+
+
 def test_a_trajectory_shorter_than_the_clip(refused, tmp_path):
     path = tmp_path / "short.csv"
     path.write_text("t,x,y,z,heading\n0,10,0,0.8,0\n0.3,12,0,0.8,0\n")

@@ -1,0 +1,142 @@
+"""dwgs train: a PointAdapter, from recorded drives."""
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from dwgs.cli.options import Clip
+from dwgs.cli.progress import Bar, bar, say
+from dwgs.cli.reconstruct import clip_key
+from dwgs.cli.stage import fingerprint, run_stage
+from dwgs.scene import InputError
+
+if TYPE_CHECKING:
+    from generator.training.cache import Cache
+    from generator.training.config import ClipConfig, TrainingConfig
+    from generator.wan.weights import Backbone
+
+
+@dataclass(frozen=True)
+class Train:
+    """Teach a PointAdapter to paint recorded vehicles, told of their LiDAR points: the paper's training."""
+
+    scenes: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE...")]
+    """Folders of recorded drives; 'street' is the embedded one."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for latents, checkpoints, log and adapter; the same command goes on where it stopped."""
+    backbone: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder of Wan2.1-VACE in diffusers' layout; with the preset tiny, one of toy size is made."""
+    preset: Literal["paper", "tiny"] = "paper"
+    """Numbers to start from: the paper's, or such that a CPU takes minutes."""
+    steps: int | None = None
+    """Instead of the preset's."""
+    batch: int | None = None
+    """Clips per step over all processes, instead of the preset's."""
+    rate: float | None = None
+    """Learning rate, instead of the preset's."""
+    trains: Literal["adapter", "all"] = "adapter"
+    """What learns; all is the paper's ablation without an adapter on a frozen backbone."""
+    strategy: Literal["global-to-local", "autoregressive"] = "global-to-local"
+    """What clips are taught to be given: every fourth frame, or the first."""
+    points: Literal["discs", "pixels"] = "discs"
+    """How the vehicle's points are drawn; pixels is the paper's ablation."""
+    init: Literal["vace", "zero", "random"] = "vace"
+    """What the adapter starts as."""
+    frames: Annotated[str | None, tyro.conf.arg(metavar="FIRST-LAST")] = None
+    """First and last frame of every drive, as in 0-192; by default all."""
+    size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
+    """Width x height [px] of every clip; by default 720x480."""
+    seed: int = 0
+    """Of everything random."""
+
+    def run(self) -> None:
+        """Leave ``adapter/``, and what led to it."""
+        import torch
+        from accelerate import PartialState
+
+        from generator.training.cache import Cache
+        from generator.wan.weights import Backbone
+
+        if not self.scenes:
+            raise InputError("training takes at least one drive; name a folder, or street")
+        clips, config = self.configs()
+        process = PartialState(cpu=not torch.cuda.is_available())
+        with process.main_process_first():
+            if process.is_main_process:
+                self._make_toy()
+            backbone = Backbone.open(self._backbone_folder)
+            if process.is_main_process:
+                self._encode(backbone, clips)
+        cache = Cache(self.out / "latents")
+        self._train(backbone, cache, config, process.is_main_process)
+
+    def configs(self) -> "tuple[ClipConfig, TrainingConfig]":
+        """The preset, with what was asked for instead."""
+        from generator.training.config import PRESETS
+
+        clips, config = PRESETS[self.preset]
+        asked = {"steps": self.steps, "batch": self.batch, "rate": self.rate}
+        asked = {name: value for name, value in asked.items() if value is not None}
+        config = replace(config, trains=self.trains, init=self.init, seed=self.seed, **asked)
+        return replace(clips, strategy=self.strategy, points=self.points, seed=self.seed), config
+
+    @property
+    def _backbone_folder(self) -> Path:
+        if self.backbone is None and self.preset == "paper":
+            raise InputError("training steers a backbone: give --backbone DIR, or --preset tiny, which makes a toy")
+        return self.backbone or self.out / "backbone"
+
+    def _make_toy(self) -> None:
+        folder = self._backbone_folder
+        if self.backbone is None and not folder.exists():
+            from generator.wan.tiny import write_tiny_backbone
+
+            write_tiny_backbone(folder, self.seed)
+            say(f"'{folder}' is a backbone of toy size with random weights: it shows that every line runs, no more")
+
+    def _encode(self, backbone: "Backbone", config: "ClipConfig") -> None:
+        """Fill ``latents/`` unless the same clips are there."""
+        drives = [Clip(scene, frames=self.frames, size=self.size) for scene in self.scenes]
+
+        def make(draft: Path, progress: Bar) -> dict:
+            import torch
+
+            from generator.training.cache import write_cache
+            from generator.training.clips import clips_of
+
+            device = "cuda" if torch.cuda.is_available() else "cpu"
+            codec = backbone.load_codec(device, torch.bfloat16 if device == "cuda" else torch.float32)
+            clips = (clip for drive in drives for clip in clips_of(drive.open(), config))
+            write_cache(clips, codec, config, draft, lambda done: progress.count(done, None))
+            return {}
+
+        inputs = {
+            "drives": [clip_key(drive) for drive in drives],
+            "clips": asdict(config),
+            "codec": fingerprint(backbone.folder / "vae"),
+        }
+        run_stage(self.out / "latents", "encode", inputs, make)
+
+    def _train(self, backbone: "Backbone", cache: "Cache", config: "TrainingConfig", is_main: bool) -> None:
+        from generator.training.log import Log
+        from generator.training.loop import Stepped, Trainer, Validated
+
+        trainer = Trainer(cache, backbone, config, self.out)
+        if is_main:
+            say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} are held out")
+        if is_main and trainer.step:
+            say(f"going on after step {trainer.step}")
+        log = Log(self.out, trainer.step) if is_main else None
+        with bar("train") as progress:
+            for event in trainer.run():
+                if log is not None:
+                    log.write(event)
+                if isinstance(event, Stepped):
+                    progress.count(event.step, event.steps)
+                elif isinstance(event, Validated):
+                    progress.tell(f"held-out loss {event.loss:.4f}")
+        if is_main:
+            steered, adapter = trainer.export(self.out)
+            say(f"next: dwgs insert SCENE ... --backend wan --backbone {steered} --adapter {adapter}")

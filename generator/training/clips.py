@@ -1,0 +1,66 @@
+"""Clips that teach: a recorded vehicle, its LiDAR points, and the frames in which it was seen."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dwgs.scene import InputError, Insertion, Scene, Track
+from generator.conditions import ConditionFrame, make_conditions
+from generator.conditions.conditions import PointStyle
+from generator.conditions.points import points_of_track
+from generator.training.config import ClipConfig
+
+WINDOW = 10
+"""Sweeps before and after the best one that points come from: 2 s of a 10 Hz drive, as in StreetCrafter."""
+SEEN = 0.5
+"""A clip teaches where the vehicle's points show in at least this share of its frames."""
+
+
+@dataclass(frozen=True)
+class TrainingClip:
+    """Frames that show one recorded vehicle, with the conditions under which they are to be made again."""
+
+    scene: str
+    """Name of the drive."""
+    track: str
+    """Id of the vehicle."""
+    stride: int
+    """From one frame to the next."""
+    frames: tuple[ConditionFrame, ...]
+
+    @property
+    def name(self) -> str:
+        """Unique among the clips of drives with different names."""
+        return f"{self.scene}/{self.track}/{self.frames[0].frame.index}x{self.stride}"
+
+
+def clips_of(scene: Scene, config: ClipConfig) -> Iterator[TrainingClip]:
+    """Clips of every vehicle that the main camera and the LiDAR saw, track by track, in order of time."""
+    for track in scene.tracks:
+        if not track.is_vehicle:
+            continue
+        frames = _condition_frames(scene, track, config.points)
+        for stride in config.strides:
+            reach = (config.frames - 1) * stride + 1
+            for first in range(0, len(frames) - reach + 1, config.hop * stride):
+                clip = frames[first : first + reach : stride]
+                if np.mean([frame.load_point_mask().any() for frame in clip]) >= SEEN:
+                    yield TrainingClip(scene.name, track.id, stride, clip)
+
+
+def _condition_frames(scene: Scene, track: Track, points: PointStyle) -> tuple[ConditionFrame, ...]:
+    """Conditions of the longest run of the main camera's frames that the track covers; none without points."""
+    recorded = scene.frames[scene.main_camera]
+    covered = track.trajectory.covers(np.array([frame.camera.time for frame in recorded]))
+    inside = np.flatnonzero(covered)
+    if len(inside) == 0:
+        return ()
+    frames = recorded[inside[0] : inside[-1] + 1]
+    try:
+        vehicle, size = points_of_track(scene, track, WINDOW)
+        insertion = Insertion(vehicle, size, track.trajectory, track.category)
+        seen = replace(scene, frames={scene.main_camera: frames})
+        return make_conditions(seen, insertion, points=points).frames[scene.main_camera]
+    except InputError:  # too few points, or never in view: such a vehicle teaches nothing
+        return ()

@@ -1,0 +1,83 @@
+"""`dwgs train` on the embedded street, at toy size, as a person runs it."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from dwgs.cli import main
+from dwgs.datasets import folder as scene_folder
+from generator.wan.settings import WanSettings
+from generator.wan.wan import WanGenerator
+
+WEIGHTS = "diffusion_pytorch_model.safetensors"
+TOY = ["--preset", "tiny", "--size", "48x32", "--batch", "2"]
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    """A short recorded street with only two of its vehicles, which is enough."""
+    from dataclasses import replace
+
+    from dwgs.street import build_street
+
+    scene = build_street(frames=13, width=48, height=32).scene()
+    kept = tuple(track for track in scene.tracks if track.id in ("moving-00", "parked-04"))
+    folder = tmp_path_factory.mktemp("drive") / "street"
+    scene_folder.write(replace(scene, tracks=kept), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def out(drive, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("train") / "out"
+    main(["train", str(drive), *TOY, "--steps", "3", "-o", str(folder)])
+    return folder
+
+
+def test_training_leaves_an_adapter_that_generates(out):
+    generator = WanGenerator(WanSettings(out / "backbone", out / "adapter"))
+    assert generator.name == "wan"
+    events = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    assert [e["step"] for e in events if e["event"] == "stepped"] == [1, 2, 3]
+
+
+def test_more_steps_go_on_from_the_last_checkpoint(out, drive, capsys):
+    main(["train", str(drive), *TOY, "--steps", "5", "-o", str(out)])
+    said = capsys.readouterr().err
+    assert "going on after step 3" in said
+    assert "encode       unchanged, kept" in said
+    assert [path.name for path in sorted((out / "checkpoints").iterdir())] == ["00000003", "00000005"]
+
+
+def test_two_processes_learn_what_one_does(drive, tmp_path):
+    command = ["-m", "dwgs", "train", str(drive), *TOY, "--steps", "3"]
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc_per_node", "2"]
+    for run, before in (("one", []), ("two", launch)):
+        whole = [sys.executable, *before, *command, "-o", str(tmp_path / run)]
+        subprocess.run(whole, check=True, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    logs = [(tmp_path / run / "log.jsonl").read_text().splitlines() for run in ("one", "two")]
+    losses = [[json.loads(line)["loss"] for line in log] for log in logs]
+    assert len(losses[0]) == 3
+    assert losses[0] == pytest.approx(losses[1], rel=1e-5)
+    ours, theirs = (load_file(tmp_path / run / "adapter" / WEIGHTS) for run in ("one", "two"))
+    assert all(torch.allclose(ours[name], theirs[name], atol=1e-5) for name in ours | theirs)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere", *TOY], "nowhere"),
+        (["street", "--preset", "paper"], "give --backbone DIR"),
+        (["street", "--backbone", "no-such-folder"], "there is no 'no-such-folder/transformer/config.json'"),
+    ],
+)
+def test_what_cannot_be_trained_is_said_in_one_sentence(arguments, said, tmp_path, capsys):
+    with pytest.raises(SystemExit) as exit:
+        main(["train", *arguments, "-o", str(tmp_path / "out")])
+    assert exit.value.code == 2
+    assert said in capsys.readouterr().err
