@@ -9,7 +9,7 @@ import tyro
 from dwgs.cli.options import ClipOptions
 from dwgs.cli.progress import Bar, decibels, say
 from dwgs.cli.reconstruct import TRAJECTORY_FILE, clip_key
-from dwgs.cli.stage import StageRecord, fingerprint, run_stage, stage_key
+from dwgs.cli.stage import FIT, StageRecord, fingerprint, run_stage, stage_key, unfinished
 from dwgs.scene import InputError, Insertion, Scene
 
 if TYPE_CHECKING:
@@ -98,17 +98,15 @@ def distill_stage(
     from dwgs.optimize import Checkpoint
 
     inputs = {"source": source, "config": asdict(config)}
-    checkpoint = Checkpoint(folder.with_name(f".{folder.name}.checkpoint"), stage_key("distill", inputs))
 
     def make(draft: Path, progress: Bar) -> dict:
         from dwgs.formats import asset_folder
         from dwgs.scene.trajectory_file import write_trajectory
 
-        asset, report = progress.follow(distill(scene, background, insertion, config, checkpoint))
+        asset, report = progress.follow(distill(scene, background, insertion, config, Checkpoint(parts / FIT)))
         asset_folder.write(asset, draft)
         write_trajectory(insertion.trajectory, draft / TRAJECTORY_FILE)
         return report
 
-    record = run_stage(folder, "distill", inputs, make)
-    checkpoint.remove()
-    return record
+    with unfinished(folder, stage_key("distill", inputs)) as parts:
+        return run_stage(folder, "distill", inputs, make)

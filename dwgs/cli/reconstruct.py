@@ -10,7 +10,7 @@ import tyro
 
 from dwgs.cli.options import ClipOptions
 from dwgs.cli.progress import Bar, decibels, say
-from dwgs.cli.stage import StageRecord, fingerprint, run_stage
+from dwgs.cli.stage import FIT, StageRecord, fingerprint, run_stage, stage_key, unfinished
 from dwgs.scene import InputError, Insertion, Scene
 
 if TYPE_CHECKING:
@@ -84,27 +84,32 @@ def clip_key(clip) -> dict:
 
 
 def reconstruct_stage(scene: Scene, source: dict, folder: Path, draft: bool, seed: int) -> StageRecord:
-    """Fit the background of ``scene`` into ``folder``."""
+    """Fit the background of ``scene`` into ``folder``; what was killed meanwhile goes on."""
+    from dwgs.optimize import Checkpoint
     from dwgs.reconstruct import ReconstructConfig, reconstruct
 
     config = ReconstructConfig.draft(seed) if draft else ReconstructConfig(seed=seed)
+    inputs = {"source": source, "config": asdict(config)}
 
     def make(folder: Path, progress: Bar) -> dict:
         from dwgs.formats import background_folder
 
-        background, report = progress.follow(reconstruct(scene, config))
+        background, report = progress.follow(reconstruct(scene, config, Checkpoint(parts / FIT)))
         background_folder.write(background, folder)
         return report
 
-    return run_stage(folder, "reconstruct", {"source": source, "config": asdict(config)}, make)
+    with unfinished(folder, stage_key("reconstruct", inputs)) as parts:
+        return run_stage(folder, "reconstruct", inputs, make)
 
 
 def joint_stage(
     scene: Scene, insertion: Insertion | None, source: dict, folder: Path, config: "ReconstructConfig"
 ) -> StageRecord:
-    """Fit street and traffic of ``scene`` together into ``folder``."""
+    """Fit street and traffic of ``scene`` together into ``folder``; what was killed meanwhile goes on."""
+    from dwgs.optimize import Checkpoint
     from dwgs.reconstruct import reconstruct_jointly
 
+    inputs = {"source": source, "config": asdict(config), "joint": True}
     for track in scene.tracks:
         if not re.fullmatch(r"\w[\w-]*", track.id):
             raise InputError(f"the id of a track names its folder: letters, digits, _ and -; rename track '{track.id}'")
@@ -116,7 +121,8 @@ def joint_stage(
         from dwgs.reconstruct.worst import picture_of_worst
         from dwgs.scene.trajectory_file import write_trajectory
 
-        reconstruction, report = progress.follow(reconstruct_jointly(scene, config, insertion))
+        fit = reconstruct_jointly(scene, config, insertion, Checkpoint(parts / FIT))
+        reconstruction, report = progress.follow(fit)
         background_folder.write(reconstruction.background, folder)
         for actor in reconstruction.actors:
             asset_folder.write(actor.asset, folder / TRAFFIC / actor.id)
@@ -125,4 +131,5 @@ def joint_stage(
         Image.fromarray(picture_of_worst(reconstruction, scene, report)).save(folder / "worst.png")
         return report
 
-    return run_stage(folder, "reconstruct", {"source": source, "config": asdict(config), "joint": True}, make)
+    with unfinished(folder, stage_key("reconstruct", inputs)) as parts:
+        return run_stage(folder, "reconstruct", inputs, make)

@@ -21,6 +21,8 @@ from dwgs.cli.progress import Bar, bar, say
 from dwgs.files import new_folder
 
 RECORD = "run.json"
+FIT = "fit.pt"
+"""Among the finished parts of a stage: how far its fit is."""
 
 
 @dataclass(frozen=True)

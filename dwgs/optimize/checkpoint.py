@@ -18,29 +18,22 @@ class Checkpoint:
     """A file with the state of one fit: tensors and numbers in dictionaries and lists.
 
     Args:
-        path: Of the file.
-        key: Of what is fitted and how; the state of anything else counts as none.
+        path: Of the file; another for whatever is fitted to something else, or in another way.
     """
 
-    def __init__(self, path: Path, key: str) -> None:
-        self._path, self._key = path, key
-        self._saved = time.monotonic()
+    def __init__(self, path: Path) -> None:
+        self._path, self._saved = path, time.monotonic()
 
     def load(self) -> dict[str, Any] | None:
-        """The state saved last; None where there is none, or none of this fit."""
+        """The state saved last; None where there is none that can be read."""
         try:
-            document = torch.load(self._path, weights_only=True)  # which runs nothing that a file might hold
+            return torch.load(self._path, weights_only=True)  # which runs nothing that a file might hold
         except (OSError, RuntimeError, EOFError, pickle.UnpicklingError):
             return None
-        return document["state"] if isinstance(document, dict) and document.get("key") == self._key else None
 
     def offer(self, state: Callable[[], dict[str, Any]]) -> None:
         """Save the state, if it is time."""
         if time.monotonic() - self._saved >= EVERY:
             with new_file(self._path) as draft:
-                torch.save({"key": self._key, "state": state()}, draft)
+                torch.save(state(), draft)
             self._saved = time.monotonic()
-
-    def remove(self) -> None:
-        """The fit is done."""
-        self._path.unlink(missing_ok=True)

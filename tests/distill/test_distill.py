@@ -58,11 +58,11 @@ def test_an_interrupted_fit_goes_on_to_the_same_bytes(toy, tmp_path, monkeypatch
     inputs = toy.scene(is_generated=is_generated), toy.background, toy.insertion, config
     _, asset, _ = run(*inputs)
     for stop in (5, 31, 39):
-        interrupted = distill(*inputs, Checkpoint(tmp_path / "half.pt", "key"))
+        interrupted = distill(*inputs, Checkpoint(tmp_path / "half.pt"))
         while getattr(next(interrupted), "step", 0) != stop:
             pass
         interrupted.close()
-    events, again, _ = run(*inputs, Checkpoint(tmp_path / "half.pt", "key"))
+    events, again, _ = run(*inputs, Checkpoint(tmp_path / "half.pt"))
     assert [event.step for event in events if isinstance(event, Step)] == [40]
     assert same(again.gaussians, asset.gaussians)
 

@@ -55,11 +55,11 @@ def test_the_same_drive_gives_the_same_bytes_on_any_number_of_threads(drive, fit
 def test_an_interrupted_fit_goes_on_to_the_same_bytes(drive, fitted, tmp_path, monkeypatch):
     monkeypatch.setattr("dwgs.optimize.checkpoint.EVERY", 0)
     for stop in (2, 10, 29):  # before and after it grows
-        interrupted = reconstruct(drive, CONFIG, Checkpoint(tmp_path / "half.pt", "key"))
+        interrupted = reconstruct(drive, CONFIG, Checkpoint(tmp_path / "half.pt"))
         while getattr(next(interrupted), "step", 0) != stop:
             pass
         interrupted.close()
-    background, report, events = fit(drive, checkpoint=Checkpoint(tmp_path / "half.pt", "key"))
+    background, report, events = fit(drive, checkpoint=Checkpoint(tmp_path / "half.pt"))
     assert [e.step for e in events if isinstance(e, Step)] == [29, 30]
     assert digest(background) == digest(fitted[0])
     assert report["psnr_heldout"] == fitted[1]["psnr_heldout"]
