@@ -65,7 +65,7 @@ def run(street: Street, plan: Plan, progress: Progress) -> list[Metric]:
             scene = folder.read(video)
 
             def reach(config: DistillConfig, title: str, scene=scene, insertion=insertion) -> dict:
-                return follow(distill(scene, exact, insertion, config), progress, title)[1]
+                return follow(distill(scene, exact, insertion, config), progress, title).report
 
             short = {time: reach(DistillConfig(seconds=time), f"{drive}, {time:g} s") for time in plan.seconds}
             load = os.getloadavg()[0]

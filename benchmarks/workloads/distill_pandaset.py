@@ -25,7 +25,7 @@ def run(folder: Path, seconds: float, reconstruction: ReconstructConfig, progres
     clip = scene.select(frames=CLIP)
     insertion = insertion_of_track(drive, CAR)
     config = DistillConfig(seconds=seconds)
-    _, report = follow(distill(clip, background, insertion, config), progress, "recorded car")
+    report = follow(distill(clip, background, insertion, config), progress, "recorded car").report
     return [
         Metric("distill.pandaset.background_psnr_heldout", fit["psnr_heldout"], "dB"),
         Metric("distill.pandaset.background_seconds", fit["seconds"], "s"),

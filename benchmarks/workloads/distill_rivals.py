@@ -81,7 +81,7 @@ def run(street: Street, race: Race, progress: Progress) -> list[Metric]:
         folder.write(scene, video, lambda done, _: progress.update(task, completed=done))
         scene = folder.read(video)
         config = DistillConfig(seconds=race.ours)
-        _, report = follow(distill(scene, background, insertion, config), progress, "ours")
+        report = follow(distill(scene, background, insertion, config), progress, "ours").report
         goal, ours = report["psnr_roi_heldout"], report["seconds"]["prepare"] + report["seconds"]["fit"]
 
         frozen = FrozenBackground(background, scene.all_frames())

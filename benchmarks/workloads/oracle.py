@@ -39,9 +39,10 @@ def run(frames: int) -> list[Metric]:
         task = progress.add_task("record", total=frames)
         street.render_all(lambda done, total: progress.update(task, completed=done))
         exact = ExactBackground(street)
-        asset, report = follow(distill(scene, exact, insertion, DistillConfig()), progress, "distill")
+        distilled = follow(distill(scene, exact, insertion, DistillConfig()), progress, "distill")
+        asset, report = distilled.asset, distilled.report
         background, fit = follow(reconstruct(street.scene(), ReconstructConfig()), progress, "reconstruct")
-        _, fitted = follow(distill(scene, background, insertion, DistillConfig()), progress, "distill before it")
+        fitted = follow(distill(scene, background, insertion, DistillConfig()), progress, "distill before it").report
     seen, unseen = orbit_psnr(street, asset, np.array([sector["share"] for sector in report["sectors"]]))
     return [
         Metric("oracle.distill.psnr_roi_heldout", report["psnr_roi_heldout"], "dB"),

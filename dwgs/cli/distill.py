@@ -103,10 +103,10 @@ def distill_stage(
         from dwgs.formats import asset_folder
         from dwgs.scene.trajectory_file import write_trajectory
 
-        asset, report = progress.follow(distill(scene, background, insertion, config, Checkpoint(parts / FIT)))
-        asset_folder.write(asset, draft)
-        write_trajectory(insertion.trajectory, draft / TRAJECTORY_FILE)
-        return report
+        distilled = progress.follow(distill(scene, background, insertion, config, Checkpoint(parts / FIT)))
+        asset_folder.write(distilled.asset, draft)
+        write_trajectory(distilled.trajectory, draft / TRAJECTORY_FILE)
+        return distilled.report
 
     with unfinished(folder, stage_key("distill", inputs)) as parts:
         return run_stage(folder, "distill", inputs, make)

@@ -18,6 +18,7 @@ from dwgs.cli.options import ClipOptions, PlacementOptions, VehicleOptions, auth
 from dwgs.cli.progress import decibels, say
 from dwgs.cli.reconstruct import clip_key, reconstruct_stage
 from dwgs.cli.record import record_stage
+from dwgs.cli.render import read_driven
 from dwgs.cli.report import write_page
 from dwgs.cli.stage import StageRecord, versions
 from dwgs.files import new_file
@@ -43,7 +44,7 @@ class Insert:
     def run(self) -> None:
         """Run the chain."""
         from dwgs.datasets import folder as scene_folder
-        from dwgs.formats import asset_folder, background_folder
+        from dwgs.formats import background_folder
         from viewer.scene_graph import SceneGraph
 
         start = time.perf_counter()
@@ -71,12 +72,12 @@ class Insert:
             edited, background, insertion, source, self.out / "asset", distill_config(self.distill_steps, self.seed)
         )
         unchanged = before == background_folder.fingerprint(self.out / "background")
-        asset = asset_folder.read(self.out / "asset")
+        asset, trajectory = read_driven(self.out / "asset")
         stages["films"] = film_stage(self.out, scene, edited, asset, stages["distill"].key)
         report = self.report(stages, notes, unchanged, time.perf_counter() - start)
         with new_file(self.out / "report.json") as draft:
             draft.write_text(json.dumps(report, indent=2, default=str))
-        write_page(self.out, report, scene, edited, SceneGraph(background, [(asset, insertion.trajectory)]))
+        write_page(self.out, report, scene, edited, SceneGraph(background, [(asset, trajectory)]))
         self.say_result(report)
 
     def report(

@@ -11,7 +11,7 @@ from dwgs.cli.films import counted, fps, to_uint8
 from dwgs.cli.options import ClipOptions, PlacementOptions
 from dwgs.cli.progress import bar, say
 from dwgs.cli.reconstruct import TRAJECTORY_FILE
-from dwgs.scene import Background, Camera, Frame, Trajectory
+from dwgs.scene import Background, Camera, Frame, Trajectory, VehicleAsset
 from dwgs.scene.pose import pose
 
 
@@ -34,7 +34,6 @@ class Render:
     def run(self) -> None:
         """Leave a film."""
         from dwgs.formats import asset_folder, background_folder
-        from dwgs.scene.trajectory_file import read_trajectory
         from dwgs.video import write_lossless, write_mp4
         from viewer.renderer import Renderer
         from viewer.scene_graph import SceneGraph
@@ -43,11 +42,11 @@ class Render:
         background = background_folder.read(self.background)
         actors = []
         for folder in self.asset:
-            asset = asset_folder.read(folder)
             if self.placement.is_given:
+                asset = asset_folder.read(folder)
                 trajectory = self.placement.drive(scene, asset.size)
             else:
-                trajectory = read_trajectory(folder / TRAJECTORY_FILE, asset.size)
+                asset, trajectory = read_driven(folder)
             actors.append((asset, carried(trajectory, self.move)))
         frames = scene.frames[scene.main_camera]
         renderer = Renderer(frames[0].camera.width, frames[0].camera.height)
@@ -57,6 +56,15 @@ class Render:
             write = write_lossless if self.out.suffix == ".avi" else write_mp4
             write(self.out, pictures, fps(frames))
         say(f"wrote {self.out}")
+
+
+def read_driven(folder: Path) -> tuple[VehicleAsset, Trajectory]:
+    """An asset, and where it drove in the scene it comes from."""
+    from dwgs.formats import asset_folder
+    from dwgs.scene.trajectory_file import read_trajectory
+
+    asset = asset_folder.read(folder)
+    return asset, read_trajectory(folder / TRAJECTORY_FILE, asset.size)
 
 
 def carried(trajectory: Trajectory, move: tuple[float, float, float]) -> Trajectory:

@@ -17,7 +17,7 @@ from dwgs.cli.options import author_insertion
 from dwgs.cli.progress import Bar, say
 from dwgs.cli.reconstruct import clip_key, joint_stage, reconstruct_stage
 from dwgs.cli.record import keep_stage, record_stage
-from dwgs.cli.render import rendered
+from dwgs.cli.render import read_driven, rendered
 from dwgs.cli.stage import StageRecord, run_stage
 from dwgs.cli.systems import System
 from dwgs.scene import Scene
@@ -153,13 +153,13 @@ class Trial:
     def _rendered(self, system: System, key: str) -> tuple[Scene, str]:
         """The street and the distilled vehicle as the cameras of the recording see them."""
         from dwgs.datasets import folder as scene_folder
-        from dwgs.formats import asset_folder, background_folder
+        from dwgs.formats import background_folder
         from viewer.renderer import Renderer
         from viewer.scene_graph import SceneGraph
 
         folder = self.folder / system.name
         background = background_folder.read(self.folder / "background")
-        graph = SceneGraph(background, [(asset_folder.read(folder / "asset"), self.subject.insertion.trajectory)])
+        graph = SceneGraph(background, [read_driven(folder / "asset")])
         camera = self.subject.recorded.all_frames()[0].camera
         renderer = Renderer(camera.width, camera.height)
         frames = {

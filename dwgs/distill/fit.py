@@ -4,9 +4,10 @@ import math
 import time
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from dwgs.optimize import (
     fill_time,
     view_order,
 )
-from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, VehicleAsset
+from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, Trajectory, VehicleAsset
 from dwgs.splat import Splats, View
 
 PREPARING = 0.3
@@ -40,13 +41,25 @@ SOLID = 0.5
 """Opacity of a Gaussian that counts for the vehicle's extent."""
 
 
+@dataclass(frozen=True)
+class Distilled:
+    """What comes out of a video."""
+
+    asset: VehicleAsset
+    """The vehicle."""
+    trajectory: Trajectory
+    """Where it drove: the insertion's, or the refined one, which its Gaussians stand by."""
+    report: dict[str, Any]
+    """What was measured, as JSON values."""
+
+
 def distill(
     scene: Scene,
     background: Background | Frozen,
     insertion: Insertion,
     config: DistillConfig | None = None,
     checkpoint: Checkpoint | None = None,
-) -> Generator[Event, None, tuple[VehicleAsset, dict]]:
+) -> Generator[Event, None, Distilled]:
     """Learn the vehicle that a scene shows, as Gaussians in its own frame; the background is frozen.
 
     A scene whose frames carry reactive masks is generated video: its vehicle is where the insertion says, and is
@@ -56,8 +69,8 @@ def distill(
     ``config.seconds`` are too few to prepare all frames, some teach, spread over the clip. A fit of so many steps
     goes on from its ``checkpoint``, to the same bytes; one of so many seconds begins anew.
 
-    Yields events while it runs; returns the asset and a report of JSON values. Raises `InputError` where no
-    frame shows the vehicle, where a generated clip outlasts the trajectory, or where no time is left to fit.
+    Yields events while it runs; returns what it `Distilled`. Raises `InputError` where no frame shows the vehicle,
+    where a generated clip outlasts the trajectory, or where no time is left to fit.
     """
     config = config or DistillConfig()
     if config.steps < 1 or config.gaussians < 1 or (config.seconds is not None and not config.seconds > 0):
@@ -143,7 +156,9 @@ def distill(
     provenance = {"scene": scene.name, "kind": report["kind"], "dwgs": version("dwgs"), "config": asdict(config)}
     provenance |= {"steps": steps, "seconds": report["seconds"], "background": before}
     size = np.asarray(insertion.size)
-    return VehicleAsset(body, shadow, size, insertion.category, provenance, quality, seen), report
+    asset = VehicleAsset(body, shadow, size, insertion.category, provenance, quality, seen)
+    trajectory = insertion.trajectory if poses is None else poses.refined(insertion.trajectory)
+    return Distilled(asset, trajectory, report)
 
 
 def _scores(shots: list[tuple[Shot, View]], body: Gaussians, shadow: Gaussians, threads: int) -> list[Score]:

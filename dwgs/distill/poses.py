@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from dwgs.distill.config import Recipe
 from dwgs.distill.shots import Shot, Sight
+from dwgs.scene import Trajectory
 from dwgs.scene.pose import inverse, pose
 from dwgs.splat import Splats, render
 
@@ -50,6 +51,7 @@ class BoxPoses:
 
     def __init__(self, sights: Sequence[Sight], recipe: Recipe) -> None:
         self._recipe = recipe
+        self._times = np.array([sight.frame.camera.time for sight in sights])
         self._nominal = np.array([sight.world_from_vehicle for sight in sights])
         self._world_from_camera = np.array([sight.camera.world_from_camera for sight in sights])
         self._world_from_vehicle = self._nominal.copy()
@@ -77,6 +79,21 @@ class BoxPoses:
         turned = self._world_from_vehicle[:, :3, :3] @ np.swapaxes(self._nominal[:, :3, :3], 1, 2)
         shifts = self._world_from_vehicle[:, :3, 3] - self._nominal[:, :3, 3]
         return np.hstack([Rotation.from_matrix(turned).as_rotvec(), shifts])
+
+    def refined(self, trajectory: Trajectory) -> Trajectory:
+        """The trajectory with these corrections, at its own times and at those of the sights.
+
+        Before the first sight and after the last their corrections stay as they are.
+        """
+        moments, at = np.unique(self._times, return_inverse=True)
+        sums = np.zeros((len(moments), 6))
+        np.add.at(sums, at, self.corrections())
+        corrections = sums / np.bincount(at)[:, None]  # cameras that saw it at the same moment agree on their mean
+        times = np.union1d(trajectory.times, moments)
+        turn_shift = np.stack([np.interp(times, moments, axis) for axis in corrections.T], 1)
+        poses = trajectory.at(times)
+        turned = Rotation.from_rotvec(turn_shift[:, :3]).as_matrix() @ poses[:, :3, :3]
+        return Trajectory(times, pose(turned, poses[:, :3, 3] + turn_shift[:, 3:]))
 
     def report(self) -> dict[str, float]:
         """JSON values: how far poses were corrected."""

@@ -17,7 +17,7 @@ def run(scene, background, insertion, config=QUICK, checkpoint=None):
         try:
             events.append(next(loop))
         except StopIteration as stop:
-            return events, *stop.value
+            return events, stop.value.asset, stop.value.report
 
 
 def same(a: Gaussians, b: Gaussians) -> bool:

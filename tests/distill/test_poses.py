@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from dwgs.distill.config import GENERATED, RECORDED
 from dwgs.distill.poses import MOST, BoxPoses
+from dwgs.scene import Trajectory
 from dwgs.scene.pose import pose, yaw_rotation
 
 
@@ -57,6 +58,18 @@ def test_before_anything_is_seen_poses_settle_on_a_smooth_path(trembling):
     settled = np.array([noisy[i] @ poses.old_from_new(i) for i in range(80)])
     for before, after in zip(off(noisy, smooth), off(settled, smooth), strict=True):
         assert after < 0.5 * before
+
+
+def test_the_refined_trajectory_passes_where_the_poses_settled(trembling):
+    _, noisy, times = trembling
+    poses = BoxPoses(sights_along(noisy, times), GENERATED)
+    poses.settle()
+    recorded = Trajectory(times[::2], noisy[::2])
+    refined = poses.refined(recorded)
+    np.testing.assert_allclose(refined.times, times)
+    np.testing.assert_allclose(
+        refined.at(times[::2]), [noisy[i] @ poses.old_from_new(i) for i in range(0, 80, 2)], atol=1e-9
+    )
 
 
 def test_a_smooth_path_settles_where_it_is():
