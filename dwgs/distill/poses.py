@@ -34,6 +34,8 @@ REFRESH = 4
 """Looks at a sight after which it is found out anew how its picture depends on the pose."""
 UNDERRATED = 2
 """Differences between neighbours halve the square of what changes from pixel to pixel."""
+LEAST_LOSS = 1e-6
+"""A picture without error is not infinitely sure of its pose."""
 FAINT = 0.02
 """Vehicle's alpha below which a pixel tells nothing about its pose."""
 
@@ -119,16 +121,15 @@ class BoxPoses:
         if self._looks[i] % REFRESH == 0:
             self._sensitivity[i] = sensitivity(shot, vehicle, self._world_from_vehicle[i])
         self._looks[i] += 1
-        numbers = 3 * float(shot.weight.sum())
+        numbers, loss = 3 * float(shot.weight.sum()), max(loss, LEAST_LOSS)
         # minus the logarithm of the likelihood, per loss, and its second derivative by the numbers of the picture
         share, curvature = (1 / loss, 1 / loss**2) if self._recipe.robust else (1 / (2 * loss), 1 / loss)
         from_camera = self._world_from_camera[i, :3, :3]
         turning = from_camera @ v_viewmat[:3, :3] @ self._world_from_vehicle[i, :3, :3].T
         torque = turning[[2, 0, 1], [1, 2, 0]] - turning[[1, 2, 0], [2, 0, 1]]
-        self._information[i] = self._sensitivity[i] * curvature / self._recipe.path.coherence
-        self._pull[i] = (
-            np.hstack([torque, from_camera @ v_viewmat[:3, 3]]) * numbers * share / self._recipe.path.coherence
-        )
+        force, coherence = from_camera @ v_viewmat[:3, 3], self._recipe.path.coherence
+        self._information[i] = self._sensitivity[i] * (curvature / coherence)
+        self._pull[i] = np.hstack([torque, force]) * (numbers * share / coherence)
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Everything that further corrections depend on."""

@@ -80,7 +80,7 @@ class _Desk:
         if missing > 0:
             if len(self._helpers) < helpers:
                 self._hire(helpers)
-            for _ in range(missing):
+            for _ in range(missing - self._bell.qsize()):  # those who were called are on their way
                 self._bell.put(True)
 
     def close(self) -> None:
