@@ -4,7 +4,6 @@ It knows nothing of the street's light: what it looks like was decided where the
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +16,8 @@ from dwgs.splat import Splats, View, render
 from generator.asset.gaussians import asset_of, contact_shadow
 from generator.composite.occlusion import Recording
 from generator.conditions.conditions import ConditionFrame, Conditions
+from generator.frame_by_frame import frame_by_frame
 from generator.generator import Capabilities
-
-THREADS = 2
-"""Frames made at a time."""
 
 
 class AssetGenerator:
@@ -46,18 +43,7 @@ class AssetGenerator:
         shadow = asset.shadow if len(asset.shadow) else contact_shadow(asset.size)
         cloud = Splats.cat([Splats.from_gaussians(asset.body), Splats.from_gaussians(shadow)])
         stage = _Stage(insertion, cloud, (asset.size[2] - insertion.size[2]) / 2, Recording(scene))
-        total = sum(len(frames) for frames in conditions.frames.values())
-        edited: dict[str, list[Frame]] = {}
-        done = 0
-        with ThreadPoolExecutor(THREADS) as pool:
-            for name, frames in conditions.frames.items():
-                edited[name] = []
-                for frame in pool.map(stage.take, frames):
-                    edited[name].append(frame)
-                    done += 1
-                    if on_progress:
-                        on_progress(done, total)
-        return replace(scene, frames={name: tuple(frames) for name, frames in edited.items()})
+        return frame_by_frame(conditions, lambda _, condition: stage.take(condition), on_progress)
 
 
 @dataclass(frozen=True)

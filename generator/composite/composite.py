@@ -1,7 +1,6 @@
 """The default backend: the vehicle's own surface, in the recorded light, on the recorded road. No weights."""
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,10 +19,9 @@ from generator.composite.sensor import Sensor, measure
 from generator.composite.surface import surface_of
 from generator.composite.transfer import CELL, REACH, Transfer
 from generator.conditions.conditions import ConditionFrame, Conditions
+from generator.frame_by_frame import frame_by_frame
 from generator.generator import Capabilities
 
-THREADS = 2
-"""Frames made at a time."""
 BORDER = 1 / 120
 """The shadow fades to nothing within this share of the image height from the border of the reactive mask."""
 
@@ -44,18 +42,11 @@ class CompositeGenerator:
         """The recorded scene with the vehicle in it; see `generator.generator.Generator.generate`."""
         scene, insertion = conditions.scene, conditions.insertion
         studio = Studio.prepare(scene, insertion, seed)
-        total = sum(len(frames) for frames in conditions.frames.values())
-        done, edited = 0, {}
-        with ThreadPoolExecutor(THREADS) as pool:
-            for number, (name, frames) in enumerate(conditions.frames.items()):
-                seeds = [(seed, number, condition.frame.index) for condition in frames]
-                edited[name] = []
-                for frame in pool.map(studio.take, frames, seeds):
-                    edited[name].append(frame)
-                    done += 1
-                    if on_progress:
-                        on_progress(done, total)
-        return replace(scene, frames={name: tuple(frames) for name, frames in edited.items()})
+
+        def paint(camera: int, condition: ConditionFrame) -> Frame:
+            return studio.take(condition, (seed, camera, condition.frame.index))
+
+        return frame_by_frame(conditions, paint, on_progress)
 
 
 @dataclass(frozen=True)
