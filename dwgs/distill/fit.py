@@ -22,21 +22,12 @@ from dwgs.distill.observe import observations
 from dwgs.distill.poses import BoxPoses
 from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
-from dwgs.optimize import (
-    Checkpoint,
-    Evaluated,
-    Event,
-    Grown,
-    count_steps,
-    fill_time,
-    view_order,
-)
+from dwgs.optimize import Checkpoint, Evaluated, Event, Grown, count_steps, fill_time, view_order
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, Trajectory, VehicleAsset
 from dwgs.splat import Splats, View
 
 PREPARING = 0.3
 """Share of the time that is left once the frames are chosen, if time is given, in which they are prepared."""
-
 SOLID = 0.5
 """Opacity of a Gaussian that counts for the vehicle's extent."""
 
@@ -65,9 +56,9 @@ def distill(
     A scene whose frames carry reactive masks is generated video: its vehicle is where the insertion says, and is
     learnt from every frame that shows it. Otherwise the vehicle was recorded, and the loss forgives what no rigid
     body does. The poses of a recorded vehicle are refined, and those of a path that trembles as no vehicle does.
-    Every eighth frame is only scored. Where
-    ``config.seconds`` are too few to prepare all frames, some teach, spread over the clip. A fit of so many steps
-    goes on from its ``checkpoint``, to the same bytes; one of so many seconds begins anew.
+    Every eighth frame is only scored. Where ``config.seconds`` are too few to prepare all frames, some teach, spread
+    over the clip. A fit of so many steps goes on from its ``checkpoint``, to the same bytes; one of so many seconds
+    begins anew.
 
     Yields events while it runs; returns what it `Distilled`. Raises `InputError` where no frame shows the vehicle,
     where a generated clip outlasts the trajectory, or where no time is left to fit.
@@ -87,7 +78,7 @@ def distill(
         shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
     vehicle = Vehicle(body.result(), shadow, insertion.size, recipe)
     yield Grown(0, len(vehicle))
-    poses: BoxPoses | None = BoxPoses(sights, recipe)
+    poses: BoxPoses | None = BoxPoses(sights, recipe, config.threads)
     if not (recipe.refines_poses or poses.is_rough()):
         poses = None
 
@@ -130,8 +121,7 @@ def distill(
     corrected = {} if poses is None else poses.report()
     views = {i: s.view if poses is None else s.view_at(poses.old_from_new(i)) for i, s in shots.items()}
     seen = observations([(shots[i], views[i]) for i in learnt if i in views], body, shadow, config.threads)
-    everything = sorted(shots)
-    scores = _scores([(shots[i], views[i]) for i in everything], body, shadow, config.threads)
+    scores = _scores([(shots[i], views[i]) for i in sorted(shots)], body, shadow, config.threads)
     report = summary(scores) | _coverage(taught, insertion, scores) | corrected
     yield Evaluated(steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
     report |= {

@@ -49,10 +49,11 @@ class BoxPoses:
         sights: Frames that show it, camera by camera, in order of time.
         recipe: What is known of such paths; whether losses are absolute errors, as if they were Laplace's, or squared
             ones, Gauss's.
+        threads: That draw one picture.
     """
 
-    def __init__(self, sights: Sequence[Sight], recipe: Recipe) -> None:
-        self._recipe = recipe
+    def __init__(self, sights: Sequence[Sight], recipe: Recipe, threads: int = 2) -> None:
+        self._recipe, self._threads = recipe, threads
         self._times = np.array([sight.frame.camera.time for sight in sights])
         self._nominal = np.array([sight.world_from_vehicle for sight in sights])
         self._world_from_camera = np.array([sight.camera.world_from_camera for sight in sights])
@@ -119,7 +120,7 @@ class BoxPoses:
             v_viewmat: [4, 4] gradient of the loss by ``camera_from_vehicle``.
         """
         if self._looks[i] % REFRESH == 0:
-            self._sensitivity[i] = sensitivity(shot, vehicle, self._world_from_vehicle[i])
+            self._sensitivity[i] = sensitivity(shot, vehicle, self._world_from_vehicle[i], self._threads)
         self._looks[i] += 1
         numbers, loss = 3 * float(shot.weight.sum()), max(loss, LEAST_LOSS)
         # minus the logarithm of the likelihood, per loss, and its second derivative by the numbers of the picture
@@ -197,7 +198,9 @@ def _sizes(derivative: sparse.csr_array) -> NDArray[np.float64]:
     return sparse.linalg.norm(derivative, axis=1).reshape(-1, 1)
 
 
-def sensitivity(shot: Shot, vehicle: Splats, world_from_vehicle: NDArray[np.float64]) -> NDArray[np.float64]:
+def sensitivity(
+    shot: Shot, vehicle: Splats, world_from_vehicle: NDArray[np.float64], threads: int
+) -> NDArray[np.float64]:
     """[6, 6] how strongly the picture depends on the pose: sums over pixels and colours of products of derivatives.
 
     A pixel of the vehicle moves as its point at that depth does, and takes along what the image changes there, the
@@ -207,7 +210,7 @@ def sensitivity(shot: Shot, vehicle: Splats, world_from_vehicle: NDArray[np.floa
     camera_from_vehicle = camera.camera_from_world @ world_from_vehicle
     view = shot.view_at(inverse(shot.sight.world_from_vehicle) @ world_from_vehicle)
     with torch.no_grad():
-        alone = render(vehicle, view, threads=2)
+        alone = render(vehicle, view, threads=threads)
     back = shot.frozen.layers.back_rgb
     slopes = [torch.gradient(image, dim=(0, 1)) for image in (alone.rgb, alone.alpha)]
     by_y, by_x = ((of_rgb - back * of_alpha[..., None]).numpy() for of_rgb, of_alpha in zip(*slopes, strict=True))
