@@ -75,7 +75,7 @@ GENERATED = Recipe(
         betas=(0.8, 0.95),
         stillness=STILLNESS,
     ),
-    shadow=_shadow(opacities=0.2, sh_dc=5e-2, betas=(0.8, 0.95)),
+    shadow=_shadow(opacities=0.1, sh_dc=5e-2, betas=(0.8, 0.95)),
     hold=0.75,
     final=0.05,
     robust=False,

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from typing import Any
@@ -17,11 +17,12 @@ from dwgs.distill.evaluate import Score, of_sectors, score, summary
 from dwgs.distill.initialize import initialize_body
 from dwgs.distill.layers import Frozen, FrozenBackground
 from dwgs.distill.learner import Learner
-from dwgs.distill.model import Vehicle
+from dwgs.distill.model import Vehicle, vehicle_bounds
 from dwgs.distill.observe import observations
 from dwgs.distill.poses import BoxPoses
 from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
+from dwgs.distill.sun import find_casting, turning
 from dwgs.optimize import Checkpoint, Evaluated, Event, Grown, count_steps, fill_time, view_order
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, Trajectory, VehicleAsset
 from dwgs.splat import Splats, View
@@ -76,8 +77,7 @@ def distill(
         body = pool.submit(initialize_body, insertion.vehicle, insertion.size, config.gaussians)
         sights = find_sights(scene, frozen, insertion, recipe, config.threads)
         shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
-    vehicle = Vehicle(body.result(), shadow, insertion.size, recipe)
-    yield Grown(0, len(vehicle))
+    yield Grown(0, len(body.result()) + len(shadow))
     poses: BoxPoses | None = BoxPoses(sights, recipe, config.threads)
     if not (recipe.refines_poses or poses.is_rough()):
         poses = None
@@ -87,7 +87,7 @@ def distill(
         scene=scene,
         background=frozen,
         insertion=insertion,
-        bounds=vehicle.bounds,
+        bounds=vehicle_bounds(insertion.size, shadow, config.shadow_margin * turning(sights)),
         threads=config.threads,
         refines_poses=poses is not None,
     )
@@ -100,6 +100,8 @@ def distill(
         deadline = chosen + PREPARING * (started + config.seconds - chosen)
     prepared_shots = yield from prepare([sights[i] for i in learnt], deadline=deadline)
     shots = dict(sorted(zip(learnt, prepared_shots, strict=False)))
+    casting = find_casting(list(shots.values()), insertion, shadow, config.shadow_margin)
+    vehicle = Vehicle(body.result(), shadow, insertion.size, recipe, casting)
     prepared = time.monotonic()
 
     if config.seconds is None:
@@ -112,7 +114,8 @@ def distill(
         )
     learner = Learner(shots, vehicle, poses, recipe, config)
     steps = yield from learner.run(schedule, checkpoint if config.seconds is None else None)
-    body, shadow = vehicle.finish()
+    body, shadow, casting = vehicle.finish()
+    asset = VehicleAsset(body, shadow, np.asarray(insertion.size), insertion.category, casting=casting)
     fitted = time.monotonic()
 
     taught = [sights[i] for i in shots]
@@ -120,8 +123,8 @@ def distill(
     shots |= dict(zip(judged, (yield from prepare([sights[i] for i in judged])), strict=True))
     corrected = {} if poses is None else poses.report()
     views = {i: s.view if poses is None else s.view_at(poses.old_from_new(i)) for i, s in shots.items()}
-    seen = observations([(shots[i], views[i]) for i in learnt if i in views], body, shadow, config.threads)
-    scores = _scores([(shots[i], views[i]) for i in sorted(shots)], body, shadow, config.threads)
+    seen = observations([(shots[i], views[i]) for i in learnt if i in views], asset, config.threads)
+    scores = _scores([(shots[i], views[i]) for i in sorted(shots)], asset, config.threads)
     report = summary(scores) | _coverage(taught, insertion, scores) | corrected
     yield Evaluated(steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
     report |= {
@@ -145,17 +148,21 @@ def distill(
     quality = {key: report[key] for key in (*told, "gaussians_unseen", "extent", "frames_taught")} | corrected
     provenance = {"scene": scene.name, "kind": report["kind"], "dwgs": version("dwgs"), "config": asdict(config)}
     provenance |= {"steps": steps, "seconds": report["seconds"], "background": before}
-    size = np.asarray(insertion.size)
-    asset = VehicleAsset(body, shadow, size, insertion.category, provenance, quality, seen)
+    asset = replace(asset, provenance=provenance, quality=quality, observations=seen)
     trajectory = insertion.trajectory if poses is None else poses.refined(insertion.trajectory)
     return Distilled(asset, trajectory, report)
 
 
-def _scores(shots: list[tuple[Shot, View]], body: Gaussians, shadow: Gaussians, threads: int) -> list[Score]:
+def _scores(shots: list[tuple[Shot, View]], asset: VehicleAsset, threads: int) -> list[Score]:
     """Of every frame, held-out and learnt."""
-    splats = Splats.from_gaussians(body), Splats.from_gaussians(shadow)
+    body = Splats.from_gaussians(asset.body)
+
+    def judge(shot: tuple[Shot, View]) -> Score:
+        shadow = Splats.from_gaussians(asset.shadow_at(shot[0].sight.world_from_vehicle))
+        return score(*shot, body, shadow, threads=1)[0]
+
     with ThreadPoolExecutor(threads) as pool:  # a frame for each thread
-        return list(pool.map(lambda shot: score(shot[0], shot[1], *splats, threads=1)[0], shots))
+        return list(pool.map(judge, shots))
 
 
 def extent(body: Gaussians) -> list[float]:

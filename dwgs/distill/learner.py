@@ -67,6 +67,7 @@ class Learner:
     def _learn(self, i: int, watches: bool) -> float:
         """Leave the gradient of one frame's loss, and (if it ``watches``) tell the poses; the loss."""
         shot, picture = self._shots[i], self._pictures[i]
+        self._vehicle.stand(shot.sight.world_from_vehicle)
         drawing = picture.draw()
         if i not in self._judges or self._judges[i][0] is not drawing:
             self._judges[i] = drawing, photometric(drawing, shot, self._recipe)

@@ -5,12 +5,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from dwgs.distill.config import Recipe
 from dwgs.optimize import SplatParameters, Together
-from dwgs.scene import Gaussians
+from dwgs.scene import Casting, Gaussians
 from dwgs.splat import Splats
 
 BODY_MARGIN = 0.15
@@ -26,14 +27,20 @@ CUT = 1 / 255
 
 
 class Vehicle:
-    """Body and shadow, whose centres cannot leave ``bounds`` [2, 3] (lowest, highest corner) [m] of the vehicle.
+    """Body and shadow, kept within their bounds.
 
-    The layers of the background hold only while they stay there.
+    Args:
+        body: Where it begins.
+        shadow: Where it begins, as it lies at rest.
+        size: [3] of the box [m].
+        recipe: Rates.
+        casting: How the shadow is cast; None: it turns with the vehicle.
     """
 
-    def __init__(self, body: Gaussians, shadow: Gaussians, size: NDArray, recipe: Recipe) -> None:
+    def __init__(
+        self, body: Gaussians, shadow: Gaussians, size: NDArray, recipe: Recipe, casting: Casting | None = None
+    ) -> None:
         limits = body_bounds(size), shadow_bounds(size, shadow)
-        self.bounds = np.stack([np.minimum(*(low for low, _ in limits)), np.maximum(*(high for _, high in limits))])
         padded = Gaussians.concatenate([body, shadow])
         self._sh_counts = body.sh.shape[1], shadow.sh.shape[1]
         clouds = padded[: len(body)], padded[len(body) :]
@@ -43,6 +50,10 @@ class Vehicle:
             for cloud, rate, limit, most in zip(clouds, rates, limits, scales, strict=True)
         ]
         self._together = Together(self._parts)
+        self._casting, self._body = casting, len(body)
+        if casting is not None:
+            self._heights = torch.from_numpy(casting.heights)[:, None]
+        self._slope = np.zeros(2)
         self._average: list[Tensor] = []
         self._averaged = 0
 
@@ -53,9 +64,19 @@ class Vehicle:
         """The activated Gaussians, the body's first; differentiable."""
         return self._together.splats()
 
+    def stand(self, world_from_vehicle: NDArray[np.float64]) -> None:
+        """Let the shadow lie as it does where the vehicle stands like this, until the next step."""
+        if self._casting is not None:
+            slope = self._casting.slope_at(world_from_vehicle)
+            if (slope != self._slope).any():
+                places = self.splats().means.detach()[self._body :, :2]
+                places.addcmul_(self._heights, torch.from_numpy(slope - self._slope).float())
+                self._slope = slope
+
     def step(self, factor: float, is_averaged: bool) -> None:
         """One step of Adam, rates times ``factor``; ``is_averaged`` adds it to the mean of `finish`."""
         self._together.step(factor)
+        self._slope = np.zeros(2)
         if is_averaged:
             flats = [part.flat() for part in self._parts]
             self._averaged += 1
@@ -72,17 +93,34 @@ class Vehicle:
         """Be what `state_dict` gave."""
         for part, saved in zip(self._parts, state["parts"], strict=True):
             part.load_state_dict(saved)
+        self._slope = np.zeros(2)
         self._average, self._averaged = list(state["average"]), state["averaged"]
 
-    def finish(self) -> tuple[Gaussians, Gaussians]:
-        """Body and shadow, the mean over the averaged steps, without what is too faint ever to be drawn."""
+    def finish(self) -> tuple[Gaussians, Gaussians, Casting | None]:
+        """Body and shadow, the mean over the averaged steps, without what is too faint ever to be drawn.
+
+        And how this shadow was cast.
+        """
         for part, average in zip(self._parts, self._average, strict=False):
             part.load_flat(average)
         body, shadow = (part.to_gaussians() for part in self._parts)
         body, shadow = (
             replace(cloud, sh=cloud.sh[:, :count]) for cloud, count in zip((body, shadow), self._sh_counts, strict=True)
         )
-        return body[body.opacities >= CUT], shadow[shadow.opacities >= CUT]
+        seen, casting = shadow.opacities >= CUT, self._casting
+        if casting is not None:
+            casting = replace(casting, heights=casting.heights[seen])
+        return body[body.opacities >= CUT], shadow[seen], casting
+
+
+def vehicle_bounds(size: NDArray, shadow: Gaussians, reach: float) -> NDArray[np.float64]:
+    """[2, 3] (lowest, highest corner) [m] where body and shadow may lie, if this moves by up to ``reach`` [m].
+
+    The layers of the background hold only while they stay there.
+    """
+    (low, high), (shadow_low, shadow_high) = body_bounds(size), shadow_bounds(size, shadow)
+    moved = np.array([reach, reach, 0.0]) * (len(shadow) > 0)
+    return np.stack([np.minimum(low, shadow_low - moved), np.maximum(high, shadow_high + moved)])
 
 
 def body_bounds(size: NDArray) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from dwgs.distill.shots import Shot
-from dwgs.scene import Gaussians
+from dwgs.scene import VehicleAsset
 from dwgs.splat import RetainedCloud, Splats, View
 from dwgs.splat.constants import SH_C0
 
@@ -15,19 +15,21 @@ LEAST_PIXELS = 0.5
 """A frame sees a Gaussian that colours at least so much of its pixels, summed by weight."""
 
 
-def observations(
-    shots: Iterable[tuple[Shot, View]], body: Gaussians, shadow: Gaussians, threads: int
-) -> NDArray[np.uint32]:
+def observations(shots: Iterable[tuple[Shot, View]], asset: VehicleAsset, threads: int) -> NDArray[np.uint32]:
     """[body] how many of the frames saw each of the body's Gaussians, where they were compared with it.
 
     The weight of a Gaussian in an image is the image's derivative by its colour.
     """
-    splats = Splats.from_gaussians(Gaussians.concatenate([body, shadow]))
+    body = asset.body
+    splats = Splats.from_gaussians(asset.gaussians)
     grey = torch.zeros(len(splats), 1, 3)  # far from where colours are cut off
     leaves = (splats.means, splats.quats, splats.scales, splats.opacities, grey)
     cloud = RetainedCloud(Splats(*(leaf.contiguous().requires_grad_() for leaf in leaves)), threads)
+    shadow_means = cloud.splats.means.detach()[len(body) :]
     counts = np.zeros(len(body), np.uint32)
     for shot, view in shots:
+        shadow = asset.shadow_at(shot.sight.world_from_vehicle)
+        shadow_means.copy_(torch.from_numpy(shadow.means))
         picture = shot.frozen.retain(cloud, view)
         drawing = picture.draw()
         for gradient in (drawing.v_rgb, drawing.v_depth, drawing.v_alpha):

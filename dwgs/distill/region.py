@@ -95,7 +95,7 @@ def find_region(
         supervised = supervised & ~other
     farther = [other for other, depth in traffic if depth >= own_depth]
     if farther:
-        supervised = supervised & (_covered(inside, world_from_vehicle, insertion) | ~np.logical_or.reduce(farther))
+        supervised = supervised & (covered(inside, world_from_vehicle, insertion) | ~np.logical_or.reduce(farther))
     return Region(window, supervised, bare, reactive) if supervised.any() else None
 
 
@@ -109,8 +109,8 @@ def visible_fraction(camera: Camera, world_from_vehicle: NDArray[np.float64], in
     return float((inside & (depth > NEAR)).mean())
 
 
-def _covered(camera: Camera, world_from_vehicle: NDArray, insertion: Insertion) -> NDArray[np.bool_]:
-    """[h, w] what the vehicle's points cover, gaps between them closed."""
+def covered(camera: Camera, world_from_vehicle: NDArray, insertion: Insertion) -> NDArray[np.bool_]:
+    """Pixels [h, w] that the vehicle's points cover, gaps between them closed."""
     points = insertion.vehicle.points
     points = points[:: len(points) // DENSE + 1]
     x, y, depth = (transform_points(camera.camera_from_world @ world_from_vehicle, points) @ camera.K.T).T

@@ -1,6 +1,8 @@
 """A vehicle asset as a folder: ``gaussians.ply`` (the body), ``shadow.ply``, ``asset.json``.
 
-Where it is known, ``observations.npy`` says for each Gaussian of the body how many frames saw it.
+Where it is known, ``observations.npy`` says for each Gaussian of the body how many frames saw it. Where the sun was
+found, ``asset.json`` says where it stands, and ``shadow_heights.npy`` how high above the ground each Gaussian of the
+shadow is cast from [m].
 """
 
 from pathlib import Path
@@ -11,9 +13,10 @@ from numpy.typing import NDArray
 from dwgs.files import new_folder
 from dwgs.formats import ply
 from dwgs.formats.document import read_document, write_document
-from dwgs.scene import InputError, VehicleAsset
+from dwgs.scene import Casting, InputError, VehicleAsset
 
 OBSERVATIONS = "observations.npy"
+HEIGHTS = "shadow_heights.npy"
 STAMP = {
     "format": "dwgs vehicle asset",
     "format_version": 1,
@@ -39,11 +42,15 @@ def write(asset: VehicleAsset, path: Path) -> None:
         "quality": asset.quality,
         "provenance": asset.provenance,
     }
+    if asset.casting is not None:
+        content["sun"] = {"in_world": asset.casting.sun.tolist(), "in_vehicle": asset.casting.sun_at_rest.tolist()}
     with new_folder(path) as draft:
         ply.write(asset.body, draft / "gaussians.ply")
         ply.write(asset.shadow, draft / "shadow.ply")
         if asset.observations is not None:
             np.save(draft / OBSERVATIONS, np.asarray(asset.observations, np.uint32))
+        if asset.casting is not None:
+            np.save(draft / HEIGHTS, np.asarray(asset.casting.heights, np.float32))
         write_document(content, STAMP, draft / "asset.json")
 
 
@@ -66,11 +73,28 @@ def read(path: Path) -> VehicleAsset:
             f"'{path / 'asset.json'}' counts {counts[0]} + {counts[1]} Gaussians, the PLY files hold "
             f"{len(body)} + {len(shadow)}; the folder is a mixture of two"
         )
-    observations = _observations(path / OBSERVATIONS, len(body))
-    return VehicleAsset(body, shadow, size, category, provenance, quality, observations)
+    observations = _per_gaussian(path / OBSERVATIONS, len(body), np.uint32)
+    casting = _casting(path, document.get("sun"), len(shadow))
+    return VehicleAsset(body, shadow, size, category, provenance, quality, observations, casting)
 
 
-def _observations(path: Path, count: int) -> NDArray[np.uint32] | None:
+def _casting(path: Path, sun: dict | None, count: int) -> Casting | None:
+    """How the shadow was cast, where the document says so."""
+    if sun is None:
+        return None
+    heights = _per_gaussian(path / HEIGHTS, count, np.float32)
+    try:
+        in_world, in_vehicle = (np.array(sun[name], np.float64) for name in ("in_world", "in_vehicle"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"'{path / 'asset.json'}' has a sun without two directions: {error}") from error
+    if any(d.shape != (3,) or not np.isfinite(d).all() or not d[2] > 0 for d in (in_world, in_vehicle)):
+        raise InputError(f"'{path / 'asset.json'}' has the sun at {sun}; each direction is x, y, z with z above 0")
+    if heights is None or not np.isfinite(heights).all():
+        raise InputError(f"'{path / HEIGHTS}' is missing or not finite, though asset.json has a sun; write it anew")
+    return Casting(in_world, in_vehicle, heights)
+
+
+def _per_gaussian(path: Path, count: int, dtype: type) -> NDArray | None:
     """[count] of the file, where there is one."""
     if not path.exists():
         return None
@@ -78,6 +102,6 @@ def _observations(path: Path, count: int) -> NDArray[np.uint32] | None:
         values = np.load(path, mmap_mode="r", allow_pickle=False)  # whatever its header says, nothing is allocated
     except (ValueError, EOFError, OSError) as error:
         raise InputError(f"'{path}' is not an array of numbers: {error}; write the asset anew") from error
-    if values.shape != (count,) or values.dtype != np.uint32:
+    if values.shape != (count,) or values.dtype != dtype:
         raise InputError(f"'{path}' is {values.dtype} {values.shape}, the asset has {count} Gaussians; write it anew")
     return np.array(values)

@@ -1,5 +1,6 @@
 """The nouns: what every stage takes and hands on. NumPy only."""
 
+from dwgs.scene.asset import Casting as Casting
 from dwgs.scene.asset import VehicleAsset as VehicleAsset
 from dwgs.scene.background import Background as Background
 from dwgs.scene.camera import Camera as Camera

@@ -1,12 +1,29 @@
 """The vehicle, to take home."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dwgs.scene.gaussians import Gaussians
+
+
+@dataclass(frozen=True)
+class Casting:
+    """How a shadow was cast: the vehicle turns, and the sun does not."""
+
+    sun: NDArray[np.float64]
+    """[3] unit vector towards the sun in the world."""
+    sun_at_rest: NDArray[np.float64]
+    """[3] the same in the vehicle's frame, while its shadow lies where its Gaussians are."""
+    heights: NDArray[np.float32]
+    """[shadow] how high above the ground what casts each Gaussian is [m]."""
+
+    def slope_at(self, world_from_vehicle: NDArray[np.float64]) -> NDArray[np.float64]:
+        """[2] by how much a Gaussian is off, per metre of its height, in the frame of a vehicle that stands there."""
+        now = world_from_vehicle[:3, :3].T @ self.sun
+        return self.sun_at_rest[:2] / self.sun_at_rest[2] - now[:2] / now[2]
 
 
 @dataclass(frozen=True)
@@ -27,8 +44,18 @@ class VehicleAsset:
     """What was measured: held-out PSNR and SSIM, sides seen, corrections of poses. JSON values."""
     observations: NDArray[np.uint32] | None = None
     """[body] how many frames saw each Gaussian; those that none saw are as they were put there."""
+    casting: Casting | None = None
+    """How the shadow was cast; None: it turns with the vehicle."""
 
     @property
     def gaussians(self) -> Gaussians:
         """Body and shadow as one cloud."""
         return Gaussians.concatenate([self.body, self.shadow])
+
+    def shadow_at(self, world_from_vehicle: NDArray[np.float64]) -> Gaussians:
+        """The shadow as it lies under a vehicle that stands at [4, 4]; the very one where it turns with the vehicle."""
+        if self.casting is None:
+            return self.shadow
+        means = self.shadow.means.copy()
+        means[:, :2] += self.casting.heights[:, None] * self.casting.slope_at(world_from_vehicle).astype(np.float32)
+        return replace(self.shadow, means=means)

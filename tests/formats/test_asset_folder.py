@@ -1,10 +1,11 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dwgs.formats import asset_folder
-from dwgs.scene import Gaussians, InputError, VehicleAsset
+from dwgs.scene import Casting, Gaussians, InputError, VehicleAsset
 
 
 def cloud(n: int, seed: int) -> Gaussians:
@@ -48,6 +49,44 @@ def test_an_asset_without_a_shadow_comes_back(tmp_path, asset):
     read = asset_folder.read(tmp_path / "asset")
     assert len(read.shadow) == 0
     assert read.observations is None
+
+
+@pytest.fixture
+def sunny(asset):
+    casting = Casting(np.array([0.6, 0, 0.8]), np.array([0, 0.6, 0.8]), np.float32([0.1, 0.4, 1.2, 0]))
+    return replace(asset, casting=casting)
+
+
+def test_the_sun_and_what_casts_the_shadow_come_back(tmp_path, sunny):
+    asset_folder.write(sunny, tmp_path / "asset")
+    read = asset_folder.read(tmp_path / "asset").casting
+    np.testing.assert_array_equal(read.sun, sunny.casting.sun)
+    np.testing.assert_array_equal(read.sun_at_rest, sunny.casting.sun_at_rest)
+    np.testing.assert_array_equal(read.heights, sunny.casting.heights)
+
+
+@pytest.mark.parametrize(
+    ("sun", "message"),
+    [
+        ({"in_world": [0, 0, 1]}, "two directions"),
+        ({"in_world": [0, 0, 1], "in_vehicle": [1, 0, 0]}, "z above 0"),
+        ({"in_world": [0, 0, 1], "in_vehicle": [0, 1]}, "x, y, z"),
+        ([0, 0, 1], "two directions"),
+    ],
+)
+def test_a_sun_that_casts_no_shadow_is_refused(tmp_path, sunny, sun, message):
+    asset_folder.write(sunny, tmp_path / "asset")
+    file = tmp_path / "asset" / "asset.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"sun": sun}))
+    with pytest.raises(InputError, match=message):
+        asset_folder.read(tmp_path / "asset")
+
+
+def test_a_sun_without_heights_is_refused(tmp_path, sunny):
+    asset_folder.write(sunny, tmp_path / "asset")
+    (tmp_path / "asset" / "shadow_heights.npy").unlink()
+    with pytest.raises(InputError, match=r"shadow_heights\.npy"):
+        asset_folder.read(tmp_path / "asset")
 
 
 def huge(path):

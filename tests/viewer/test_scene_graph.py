@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from dwgs.scene import InputError
+from dwgs.scene import Casting, InputError
 from viewer.scene_graph import SceneGraph
 
 
@@ -17,6 +19,18 @@ def test_vehicles_stand_where_their_trajectories_say(street):
     np.testing.assert_array_equal(clouds[0][1], np.eye(4))
     np.testing.assert_array_equal(clouds[2][1], street.actors[0][1].at(0.25))
     assert len(street.clouds_at(1.5)) == 1
+
+
+def test_the_sun_does_not_turn_with_a_vehicle(street):
+    asset, trajectory = street.actors[0]
+    heights = np.ones(len(asset.shadow), np.float32)
+    here = trajectory.at(0.5)
+    sun = np.array([0.6, 0, 0.8])
+    at_rest = here[:3, :3].T @ (sun * [-1, 1, 1])  # as if it had shone from the other side
+    cast = replace(asset, casting=Casting(sun, at_rest, heights))
+    (shadow, world_from_shadow), *_ = SceneGraph(None, [(cast, trajectory)]).clouds_at(0.5)
+    moved = (shadow.means - asset.shadow.means) @ world_from_shadow[:3, :3].T
+    np.testing.assert_allclose(moved, np.broadcast_to([-1.5, 0, 0], moved.shape), atol=1e-5)
 
 
 def test_the_sky_is_the_backgrounds_or_else_the_backdrop(street):

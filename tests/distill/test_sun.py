@@ -1,0 +1,139 @@
+"""The sun is found by the shadow that a box casts on grey ground, seen from above at a kerb."""
+
+import numpy as np
+import pytest
+import torch
+
+from dwgs.distill.config import GENERATED
+from dwgs.distill.layers import FrozenView
+from dwgs.distill.model import Vehicle, vehicle_bounds
+from dwgs.distill.region import Region, Window
+from dwgs.distill.shots import Shot, Sight
+from dwgs.distill.sun import find_casting, resting_pose, turning
+from dwgs.scene import Camera, Casting, Frame, Gaussians, Insertion, Trajectory, VehiclePoints
+from dwgs.scene.pose import inverse, pose, transform_points, yaw_rotation
+from dwgs.splat import Layers, Projected, View
+
+SIZE = np.array([4.0, 1.8, 1.5])
+MARGIN = 2.5
+WIDTH, HEIGHT = 160, 120
+GREY = 0.6
+
+
+def sun_at(azimuth, slope):
+    """[3] towards a sun whose shadows reach ``slope`` metres per metre."""
+    direction = np.array([-slope * np.cos(azimuth), -slope * np.sin(azimuth), 1.0])
+    return direction / np.linalg.norm(direction)
+
+
+def camera():
+    down = pose(np.array([[0, -0.6, 0.8], [-1, 0, 0], [0, -0.8, -0.6]]), [-7.0, 0, 6.0])
+    return Camera(np.array([[110.0, 0, WIDTH / 2], [0, 110, HEIGHT / 2], [0, 0, 1]]), WIDTH, HEIGHT, down, 0.0)
+
+
+def ground_points(eye):
+    """[H, W, 3] where the rays of a camera meet the ground."""
+    x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(eye.K).T @ eye.world_from_camera[:3, :3].T
+    origin = eye.world_from_camera[:3, 3]
+    return origin - rays * (origin[2] / rays[..., 2:])
+
+
+def is_shaded(places, world_from_vehicle, sun):
+    """Whether the way to the sun from places [..., 3] leads through the vehicle's box."""
+    vehicle_from_world = inverse(world_from_vehicle)
+    start = transform_points(vehicle_from_world, places.reshape(-1, 3))
+    way = vehicle_from_world[:3, :3] @ sun
+    near, far = np.sort(np.stack([(-SIZE / 2 - start) / way, (SIZE / 2 - start) / way]), axis=0)
+    return (near.max(1) <= far.min(1)).reshape(places.shape[:-1])
+
+
+def shot_of(world_from_vehicle, sun):
+    eye = camera()
+    shaded = is_shaded(ground_points(eye), world_from_vehicle, sun) if sun is not None else np.zeros((HEIGHT, WIDTH))
+    target = torch.tensor(np.where(shaded, 0.25, GREY)[..., None].repeat(3, 2), dtype=torch.float32)
+    zero, one = torch.zeros(HEIGHT, WIDTH), torch.ones(HEIGHT, WIDTH)
+    layers = Layers(torch.zeros(HEIGHT, WIDTH, 3), zero, one, torch.full((HEIGHT, WIDTH, 3), GREY), one, one)
+    frozen = FrozenView(layers, Projected(torch.zeros(0, 16)), torch.ones(3))
+    everywhere = np.ones((HEIGHT, WIDTH), bool)
+    region = Region(Window(0, 0, WIDTH, HEIGHT), everywhere, ~everywhere, everywhere)
+    frame = Frame(0, "front", eye, lambda: np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    sight = Sight(frame, eye, eye, world_from_vehicle, region, held_out=False)
+    view = View.from_camera(eye, world_from_vehicle)
+    return Shot(sight, view, frozen, frame.pixels, target, one, None)
+
+
+@pytest.fixture(scope="module")
+def insertion():
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (3000, 3)) * SIZE
+    cloud = VehiclePoints(np.float32(points), np.full((3000, 3), 128, np.uint8), None, is_complete=True)
+    return Insertion(cloud, SIZE, Trajectory(np.arange(2.0), np.stack([np.eye(4)] * 2)))
+
+
+@pytest.fixture(scope="module")
+def shadow():
+    grid = np.stack(np.meshgrid(np.arange(-4, 4, 0.2), np.arange(-3, 3, 0.2)), -1).reshape(-1, 2)
+    means = np.column_stack([grid, np.full(len(grid), -SIZE[2] / 2)]).astype(np.float32)
+    n = len(means)
+    return Gaussians(
+        means,
+        np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+        np.full((n, 3), 0.05, np.float32),
+        np.full(n, 0.5, np.float32),
+        np.zeros((n, 1, 3), np.float32),
+    )
+
+
+@pytest.mark.parametrize(("azimuth", "slope"), [(1.2, 0.9), (2.6, 0.6), (-1.8, 1.2)])
+def test_the_sun_is_found_whatever_way_the_vehicle_faces(insertion, shadow, azimuth, slope):
+    sun = sun_at(azimuth, slope)
+    stands = [pose(yaw_rotation(0.4 + 0.01 * k), [0.1 * k, 0, 0.75]) for k in range(4)]
+    casting = find_casting([shot_of(stand, sun) for stand in stands], insertion, shadow, MARGIN)
+    assert casting is not None
+    assert np.degrees(np.arccos(casting.sun @ sun)) < 8
+    np.testing.assert_allclose(casting.slope_at(resting_pose([shot_of(s, None).sight for s in stands])), 0, atol=1e-9)
+
+
+def test_the_farther_out_a_shadow_lies_the_higher_it_is_cast_from(insertion, shadow):
+    sun = sun_at(np.pi / 2, 1.2)
+    casting = find_casting([shot_of(pose(np.eye(3), [0, 0, 0.75]), sun)], insertion, shadow, MARGIN)
+    assert casting is not None
+    means = shadow.means[np.abs(shadow.means[:, 0]) < 1]
+    heights = casting.heights[np.abs(shadow.means[:, 0]) < 1]
+    rim, foot = np.abs(means[:, 1] - 2.5) < 0.2, np.abs(means[:, 1] + 0.8) < 0.2
+    assert heights[rim].mean() > 1.1
+    assert heights[foot].mean() < 0.3
+
+
+def test_under_an_overcast_sky_there_is_no_sun(insertion, shadow):
+    assert find_casting([shot_of(pose(np.eye(3), [0, 0, 0.75]), None)], insertion, shadow, MARGIN) is None
+
+
+def test_without_a_shadow_there_is_no_sun(insertion):
+    shots = [shot_of(pose(np.eye(3), [0, 0, 0.75]), sun_at(0.5, 1.0))]
+    assert find_casting(shots, insertion, Gaussians.empty(), MARGIN) is None
+
+
+def test_the_layers_leave_room_for_a_shadow_that_moves(shadow):
+    sights = [shot_of(pose(yaw_rotation(turn), [0, 0, 0.75]), None).sight for turn in (0.0, 0.0, 0.3)]
+    reach = turning(sights)
+    assert reach == pytest.approx(2 * np.sin(0.15))
+    still, moving = (vehicle_bounds(SIZE, shadow, r) for r in (0.0, MARGIN * reach))
+    np.testing.assert_allclose(np.abs(moving - still), np.tile([MARGIN * reach, MARGIN * reach, 0], (2, 1)))
+
+
+def test_a_shadow_lies_where_it_is_cast_until_the_next_step(shadow):
+    sun = sun_at(0.5, 1.0)
+    heights = np.linspace(0, 1.5, len(shadow), dtype=np.float32)
+    vehicle = Vehicle(Gaussians.empty(), shadow, SIZE, GENERATED, Casting(sun, sun, heights))
+    means = vehicle.splats().means
+    before = means.detach().clone()
+    for turn in (0.5, -0.2, -0.2):
+        stand = pose(yaw_rotation(turn), np.zeros(3))
+        vehicle.stand(stand)
+        slope = sun[:2] / sun[2] - (stand[:3, :3].T @ sun)[:2] / sun[2]
+        expected = heights[:, None] * slope
+        np.testing.assert_allclose((means.detach() - before)[:, :2].numpy(), expected, atol=1e-5)
+    vehicle.splats().means.grad = torch.zeros_like(means)
+    vehicle.step(1.0, is_averaged=False)
+    torch.testing.assert_close(vehicle.splats().means.detach(), before)

@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+
+from dwgs.scene import Casting, Gaussians, VehicleAsset
+from dwgs.scene.pose import pose, transform_points, yaw_rotation
+
+SIZE = np.array([4.0, 1.8, 1.5])
+SUN = np.array([0.48, -0.36, 0.8])
+
+
+def cast(points, world_from_vehicle):
+    """[N, 2] where the sun casts points of a vehicle that stands level on the ground, in the world."""
+    places = transform_points(world_from_vehicle, points)
+    ground = world_from_vehicle[2, 3] - SIZE[2] / 2
+    return (places - (places[:, 2:] - ground) / SUN[2] * SUN)[:, :2]
+
+
+@pytest.fixture
+def points():
+    return np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3)) * SIZE
+
+
+def asset_of(points, at_rest):
+    shadow = np.column_stack([cast(points, at_rest), np.zeros(len(points))])
+    means = (shadow - at_rest[:3, 3]) @ at_rest[:3, :3]
+    n = len(points)
+    cloud = Gaussians(
+        means.astype(np.float32),
+        np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+        np.full((n, 3), 0.1, np.float32),
+        np.full(n, 0.5, np.float32),
+        np.zeros((n, 1, 3), np.float32),
+    )
+    heights = (points[:, 2] + SIZE[2] / 2).astype(np.float32)
+    return VehicleAsset(Gaussians.empty(), cloud, SIZE, casting=Casting(SUN, at_rest[:3, :3].T @ SUN, heights))
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.2, -1.5, 3.0])
+def test_a_vehicle_that_turns_has_its_shadow_where_the_sun_casts_it(points, turn):
+    at_rest = pose(yaw_rotation(0.7), np.array([3.0, 1.0, 0.75]))
+    asset = asset_of(points, at_rest)
+    turned = pose(yaw_rotation(0.7 + turn), np.array([9.0, -2.0, 0.75]))
+    lies = transform_points(turned, asset.shadow_at(turned).means)[:, :2]
+    np.testing.assert_allclose(lies, cast(points, turned), atol=1e-5)
+
+
+def test_a_shadow_that_nothing_is_known_of_turns_with_the_vehicle(points):
+    at_rest = np.eye(4)
+    asset = VehicleAsset(Gaussians.empty(), asset_of(points, at_rest).shadow, SIZE)
+    assert asset.shadow_at(pose(yaw_rotation(1.0), np.zeros(3))) is asset.shadow
