@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from dwgs.distill.region import covered
 from dwgs.distill.shots import Shot, Sight
@@ -68,7 +68,7 @@ def find_casting(shots: Sequence[Shot], insertion: Insertion, shadow: Gaussians,
         return None
     sun = np.array([*-slope, 1.0]) / np.hypot(1.0, np.hypot(*slope))
     points = _above_ground(insertion)
-    tree = cKDTree(points[:, :2] + points[:, 2:] * slope)
+    tree = KDTree(points[:, :2] + points[:, 2:] * slope)
     nearest = tree.query(shadow.means[:, :2], min(NEIGHBOURS, len(points)))[1].reshape(len(shadow), -1)
     heights = np.median(points[nearest, 2], axis=1).astype(np.float32)
     return Casting(at_rest[:3, :3] @ sun, sun, heights)
