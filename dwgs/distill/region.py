@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, binary_fill_holes, distance_transform_edt
 
-from dwgs.scene import Camera, Frame, Insertion, Track
+from dwgs.scene import Camera, Frame, Insertion, Track, Trajectory
 from dwgs.scene.insertion import box_corners
 from dwgs.scene.pose import inverse, transform_points
 from dwgs.scene.silhouette import NEAR, box_silhouette
@@ -65,8 +65,8 @@ def find_region(
 ) -> Region | None:
     """Of a frame: its reactive mask, or the box of a recorded car, widened; None where nothing is left.
 
-    Pixels of other traffic teach nothing, for the frozen background does not hold it: where it reaches
-    nearer than the vehicle's centre all are left out, farther away those that the vehicle does not cover.
+    Pixels of traffic that the frozen background does not hold teach nothing: where it reaches nearer than
+    the vehicle's centre all are left out, farther away those that the vehicle does not cover.
     A recording holds the vehicle itself too, once per sensor: boxes centred in its own are no traffic.
 
     Args:
@@ -74,11 +74,11 @@ def find_region(
         camera: Through which the vehicle is seen.
         world_from_vehicle: [4, 4] at the frame's time.
         insertion: The vehicle.
-        tracks: Of the recording.
+        tracks: Of the recording, but for what the frozen background holds.
     """
     reactive = frame.reactive_mask
     if reactive is None:
-        tracks = [t for t in tracks if not _is_inside(t, camera.time, world_from_vehicle, insertion.size)]
+        tracks = [t for t in tracks if not is_inside(t.trajectory, camera.time, world_from_vehicle, insertion.size)]
         supervised = box_silhouette(camera, world_from_vehicle, insertion.size, MARGIN)
         reactive = np.zeros_like(supervised)
     else:
@@ -109,6 +109,14 @@ def visible_fraction(camera: Camera, world_from_vehicle: NDArray[np.float64], in
     return float((inside & (depth > NEAR)).mean())
 
 
+def is_inside(trajectory: Trajectory, time: float, world_from_box: NDArray[np.float64], size: NDArray) -> bool:
+    """Whether a centre that moves along ``trajectory`` lies in a box at a ``time`` [s]: two tracks of one vehicle."""
+    if not trajectory.covers(time):
+        return False
+    position = (inverse(world_from_box) @ trajectory.at(time))[:3, 3]
+    return bool((np.abs(position) < np.asarray(size) / 2).all())
+
+
 def _covered(camera: Camera, world_from_vehicle: NDArray, insertion: Insertion) -> NDArray[np.bool_]:
     """[h, w] what the vehicle's points cover, gaps between them closed."""
     points = insertion.vehicle.points
@@ -122,14 +130,6 @@ def _covered(camera: Camera, world_from_vehicle: NDArray, insertion: Insertion) 
     hit[row, column] = True
     closed = np.asarray(binary_fill_holes(binary_closing(np.pad(hit, GAP), iterations=GAP)), bool)
     return closed[GAP:-GAP, GAP:-GAP]
-
-
-def _is_inside(track: Track, time: float, world_from_vehicle: NDArray, size: NDArray) -> bool:
-    """Whether the track is the vehicle itself: its centre lies in the vehicle's box."""
-    if not track.trajectory.covers(time):
-        return False
-    position = (inverse(world_from_vehicle) @ track.trajectory.at(time))[:3, 3]
-    return bool((np.abs(position) < np.asarray(size) / 2).all())
 
 
 def _traffic(camera: Camera, tracks: Sequence[Track]) -> Iterator[tuple[NDArray[np.bool_], float]]:

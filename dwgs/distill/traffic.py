@@ -1,0 +1,48 @@
+"""Other vehicles on their ways, frozen as the street is: what is seen of them over a roof is explained, not masked."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from dwgs.distill.region import is_inside
+from dwgs.scene import Camera, Insertion, Track, Trajectory, VehicleAsset
+from dwgs.splat import Splats, View, project
+
+Driven = tuple[VehicleAsset, Trajectory]
+"""A vehicle, and where it drives."""
+
+
+class Traffic:
+    """Vehicles as the splatter wants them. Nothing is written to them."""
+
+    def __init__(self, vehicles: Sequence[Driven] = ()) -> None:
+        self.vehicles = tuple(vehicles)
+        self._splats = [Splats.from_gaussians(asset.gaussians) for asset, _ in self.vehicles]
+
+    def records(self, camera: Camera) -> list[Tensor]:
+        """[N, 16] projected records of what the camera sees of each vehicle that is there at its time."""
+        seen = []
+        for splats, (_, trajectory) in zip(self._splats, self.vehicles, strict=True):
+            if trajectory.covers(camera.time):
+                with torch.no_grad():
+                    projected = project(splats, View.from_camera(camera, trajectory.at(camera.time)), threads=1)
+                seen.append(projected[projected.visible].records)
+        return seen
+
+    def explains(self, track: Track, time: float) -> bool:
+        """Whether a recorded vehicle is among these at a ``time`` [s]: its centre lies in the box of one."""
+        return any(
+            trajectory.covers(time) and is_inside(track.trajectory, time, trajectory.at(time), asset.size)
+            for asset, trajectory in self.vehicles
+        )
+
+
+def others(vehicles: Sequence[Driven], insertion: Insertion) -> list[Driven]:
+    """Those that are not the inserted vehicle itself: none of its kind drives with its centre in another's box."""
+
+    def is_other(trajectory: Trajectory) -> bool:
+        shared = trajectory.times[insertion.trajectory.covers(trajectory.times)]
+        return not any(is_inside(trajectory, t, insertion.trajectory.at(t), insertion.size) for t in shared)
+
+    return [(asset, trajectory) for asset, trajectory in vehicles if is_other(trajectory)]
