@@ -3,7 +3,7 @@
 The oracle renders the true vehicle with its true light, so nothing here is the generator's fault.
 """
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -88,9 +88,9 @@ class ExactBackground:
         layers = Layers(*front, rgb * (1 - before)[..., None], depth * (1 - before), (depth > 0).float() * (1 - before))
         return FrozenView(layers, Projected(torch.zeros(0, 16)), torch.ones(3))
 
-    def explains(self, track: Track, time: float) -> bool:
-        """Never said: traffic is masked, as before any background."""
-        return False
+    def unexplained(self, tracks: Sequence[Track], time: float) -> Sequence[Track]:
+        """All: traffic is masked as before any background."""
+        return tracks
 
     def fingerprint(self) -> str:
         """Of the street's numbers: a seed makes it."""

@@ -77,8 +77,8 @@ class Frozen(Protocol):
         """Split what a camera (or a window of it) sees at an ``interval`` of centre depths [m]; thread-safe."""
         ...
 
-    def explains(self, track: Track, time: float) -> bool:
-        """Whether it shows a recorded vehicle that moves, at a ``time`` [s]: where it does not, traffic is masked."""
+    def unexplained(self, tracks: Sequence[Track], time: float) -> Sequence[Track]:
+        """Those recorded vehicles that it does not show at a ``time`` [s]: they are masked where they move."""
         ...
 
     def fingerprint(self) -> str:
@@ -109,9 +109,9 @@ class FrozenBackground:
             return frame.camera
         return frame.camera.at(frame.camera.world_from_camera @ correction.at(frame.camera.time))
 
-    def explains(self, track: Track, time: float) -> bool:
-        """Whether the traffic has it."""
-        return self._traffic.explains(track, time)
+    def unexplained(self, tracks: Sequence[Track], time: float) -> Sequence[Track]:
+        """Those that the traffic has not."""
+        return self._traffic.unexplained(tracks, time)
 
     def fingerprint(self) -> str:
         """Of every number of the background and the traffic."""

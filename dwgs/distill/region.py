@@ -9,7 +9,7 @@ from scipy.ndimage import binary_closing, binary_fill_holes, distance_transform_
 
 from dwgs.scene import Camera, Frame, Insertion, Track, Trajectory
 from dwgs.scene.insertion import box_corners
-from dwgs.scene.pose import inverse, transform_points
+from dwgs.scene.pose import transform_points
 from dwgs.scene.silhouette import NEAR, box_silhouette
 
 MARGIN = 8
@@ -78,7 +78,8 @@ def find_region(
     """
     reactive = frame.reactive_mask
     if reactive is None:
-        tracks = [t for t in tracks if not is_inside(t.trajectory, camera.time, world_from_vehicle, insertion.size)]
+        own = [(world_from_vehicle, insertion.size)]
+        tracks = [track for track in tracks if not is_inside(track.trajectory, camera.time, own)]
         supervised = box_silhouette(camera, world_from_vehicle, insertion.size, MARGIN)
         reactive = np.zeros_like(supervised)
     else:
@@ -109,12 +110,18 @@ def visible_fraction(camera: Camera, world_from_vehicle: NDArray[np.float64], in
     return float((inside & (depth > NEAR)).mean())
 
 
-def is_inside(trajectory: Trajectory, time: float, world_from_box: NDArray[np.float64], size: NDArray) -> bool:
-    """Whether a centre that moves along ``trajectory`` lies in a box at a ``time`` [s]: two tracks of one vehicle."""
-    if not trajectory.covers(time):
+def is_inside(trajectory: Trajectory, time: float, boxes: Sequence[tuple[NDArray[np.float64], NDArray]]) -> bool:
+    """Whether a centre that moves along ``trajectory`` lies in any of the ``boxes`` at a ``time`` [s].
+
+    Two vehicles that drive so are one. A box is its ``world_from_box`` [4, 4] and its size [3].
+    """
+    if not boxes or not trajectory.covers(time):
         return False
-    position = (inverse(world_from_box) @ trajectory.at(time))[:3, 3]
-    return bool((np.abs(position) < np.asarray(size) / 2).all())
+    centre = trajectory.at(time)[:3, 3]
+    return any(
+        bool((np.abs((centre - world_from_box[:3, 3]) @ world_from_box[:3, :3]) < np.asarray(size) / 2).all())
+        for world_from_box, size in boxes
+    )
 
 
 def _covered(camera: Camera, world_from_vehicle: NDArray, insertion: Insertion) -> NDArray[np.bool_]:

@@ -30,12 +30,10 @@ class Traffic:
                 seen.append(projected[projected.visible].records)
         return seen
 
-    def explains(self, track: Track, time: float) -> bool:
-        """Whether a recorded vehicle is among these at a ``time`` [s]: its centre lies in the box of one."""
-        return any(
-            trajectory.covers(time) and is_inside(track.trajectory, time, trajectory.at(time), asset.size)
-            for asset, trajectory in self.vehicles
-        )
+    def unexplained(self, tracks: Sequence[Track], time: float) -> list[Track]:
+        """The recorded vehicles that are not among these at a ``time`` [s]: their centres lie in none's box."""
+        boxes = [(path.at(time), asset.size) for asset, path in self.vehicles if path.covers(time)]
+        return [track for track in tracks if not is_inside(track.trajectory, time, boxes)]
 
 
 def others(vehicles: Sequence[Driven], insertion: Insertion) -> list[Driven]:
@@ -43,6 +41,6 @@ def others(vehicles: Sequence[Driven], insertion: Insertion) -> list[Driven]:
 
     def is_other(trajectory: Trajectory) -> bool:
         shared = trajectory.times[insertion.trajectory.covers(trajectory.times)]
-        return not any(is_inside(trajectory, t, insertion.trajectory.at(t), insertion.size) for t in shared)
+        return not any(is_inside(trajectory, t, [(insertion.trajectory.at(t), insertion.size)]) for t in shared)
 
     return [(asset, trajectory) for asset, trajectory in vehicles if is_other(trajectory)]
