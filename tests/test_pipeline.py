@@ -83,7 +83,7 @@ def test_the_asset_says_where_it_comes_from(out):
     assert asset.quality["psnr_roi_heldout"] > 15
 
 
-def test_the_edited_drive_is_reconstructed_whole_and_renders_with_its_traffic(out):
+def test_the_edited_drive_is_reconstructed_whole_renders_with_its_traffic_and_is_distilled_among_it(out):
     joint = out / "joint"
     insertion = out / "conditions" / "insertion"
     main(["reconstruct", str(out / "edited"), "--joint", "--draft", "--insertion", str(insertion), "-o", str(joint)])
@@ -96,3 +96,6 @@ def test_the_edited_drive_is_reconstructed_whole_and_renders_with_its_traffic(ou
     assert len(actors) == len(report["actors"])
     main(["render", str(out / "edited"), "--background", str(joint), "--asset", *actors, "-o", str(film)])
     assert film.stat().st_size > 0
+    given = ["--background", str(joint), "--traffic", *actors, "--insertion", str(insertion), "--steps", "20"]
+    main(["distill", str(out / "edited"), *given, "-o", str(out / "among")])
+    assert asset_folder.read(out / "among").quality["psnr_roi_heldout"] > 15

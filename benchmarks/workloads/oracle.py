@@ -3,7 +3,7 @@
 The oracle renders the true vehicle with its true light, so nothing here is the generator's fault.
 """
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -15,7 +15,7 @@ from benchmarks.metric import Metric
 from dwgs.distill import DistillConfig, FrozenView, distill
 from dwgs.metrics import psnr
 from dwgs.reconstruct import ReconstructConfig, reconstruct
-from dwgs.scene import Camera, Frame, VehicleAsset
+from dwgs.scene import Camera, Frame, Track, VehicleAsset
 from dwgs.splat import Layers, Projected, Splats, View, render
 from dwgs.street import Street, build_street
 
@@ -87,6 +87,10 @@ class ExactBackground:
         front = rgb * before[..., None], depth * before, 1 - before
         layers = Layers(*front, rgb * (1 - before)[..., None], depth * (1 - before), (depth > 0).float() * (1 - before))
         return FrozenView(layers, Projected(torch.zeros(0, 16)), torch.ones(3))
+
+    def unexplained(self, tracks: Sequence[Track], time: float) -> Sequence[Track]:
+        """All: traffic is masked as before any background."""
+        return tracks
 
     def fingerprint(self) -> str:
         """Of the street's numbers: a seed makes it."""

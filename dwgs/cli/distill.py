@@ -9,6 +9,7 @@ import tyro
 from dwgs.cli.options import ClipOptions
 from dwgs.cli.progress import Bar, decibels, say
 from dwgs.cli.reconstruct import TRAJECTORY_FILE, clip_key
+from dwgs.cli.render import read_driven
 from dwgs.cli.stage import FIT, StageRecord, fingerprint, run_stage, stage_key, unfinished
 from dwgs.scene import InputError, Insertion, Scene
 
@@ -29,6 +30,10 @@ class Distill:
     """Folder of the insertion (inside a conditions folder), for an edited Scene."""
     track: str | None = None
     """Id of a recorded vehicle, or how it begins."""
+    traffic: tuple[Path, ...] = ()
+    """Asset folders of other vehicles, each where it drives in the scene (distilled before, or traffic/* from
+    `dwgs reconstruct --joint`): frozen like the background, so that pixels which show them teach, too. The
+    vehicle itself may be among them."""
     steps: int | None = None
     """Steps of the optimiser; by default what suits the video."""
     seconds: float | None = None
@@ -44,6 +49,7 @@ class Distill:
 
     def run(self) -> None:
         """Leave an asset folder."""
+        from dwgs.distill import FrozenBackground, others
         from dwgs.formats import background_folder
 
         config = self.config()
@@ -57,12 +63,15 @@ class Distill:
         else:
             raise InputError("distill one vehicle: --track ID for a recorded one, --insertion DIR for an edited Scene")
         background = background_folder.read(self.background)
+        traffic = others([read_driven(folder) for folder in self.traffic], insertion)
         source = {
             "clip": clip_key(self.clip),
             "background": background_folder.fingerprint(self.background),
             "insertion": self.track if self.insertion is None else fingerprint(self.insertion),
+            "traffic": [fingerprint(folder) for folder in self.traffic],
         }
-        record = distill_stage(scene, background, insertion, source, self.out, config)
+        frozen = FrozenBackground(background, scene.all_frames(), traffic)
+        record = distill_stage(scene, frozen, insertion, source, self.out, config)
         report = record.report
         say(f"held-out ROI PSNR {decibels(report['psnr_roi_heldout'])}, {report['gaussians']:,} Gaussians")
         say(

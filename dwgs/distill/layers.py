@@ -8,6 +8,7 @@ stopping rule lets pass.
 """
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -17,7 +18,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dwgs.scene import Background, Camera, Frame, Trajectory
+from dwgs.distill.traffic import Driven, Traffic
+from dwgs.scene import Background, Camera, Frame, Gaussians, Track, Trajectory
 from dwgs.scene.pose import inverse, transform_points
 from dwgs.scene.sky import pixel_rays, sky_colors
 from dwgs.splat import Layers, Picture, Projected, Rendering, RetainedCloud, Splats, View, composite, project, render
@@ -75,16 +77,28 @@ class Frozen(Protocol):
         """Split what a camera (or a window of it) sees at an ``interval`` of centre depths [m]; thread-safe."""
         ...
 
+    def unexplained(self, tracks: Sequence[Track], time: float) -> Sequence[Track]:
+        """Those recorded vehicles that it does not show at a ``time`` [s]: they are masked where they move."""
+        ...
+
     def fingerprint(self) -> str:
         """A hash of all of it."""
         ...
 
 
 class FrozenBackground:
-    """A background as the splatter wants it, and where its cameras really are. Nothing is written to it."""
+    """A background as the splatter wants it, and where its cameras really are. Nothing is written to it.
 
-    def __init__(self, background: Background, frames: tuple[Frame, ...] | list[Frame]) -> None:
-        self._background = background
+    Args:
+        background: The street.
+        frames: Of the cameras.
+        traffic: Vehicles that drive there besides the one to be learnt, as frozen as the street, see `others`.
+    """
+
+    def __init__(
+        self, background: Background, frames: tuple[Frame, ...] | list[Frame], traffic: Sequence[Driven] = ()
+    ) -> None:
+        self._background, self._traffic = background, Traffic(traffic)
         self._splats = Splats.from_gaussians(background.gaussians)
         self._corrections = _corrections(background, frames)
 
@@ -95,25 +109,29 @@ class FrozenBackground:
             return frame.camera
         return frame.camera.at(frame.camera.world_from_camera @ correction.at(frame.camera.time))
 
+    def unexplained(self, tracks: Sequence[Track], time: float) -> Sequence[Track]:
+        """Those that the traffic has not."""
+        return self._traffic.unexplained(tracks, time)
+
     def fingerprint(self) -> str:
-        """Of every number of the background."""
-        return fingerprint(self._background)
+        """Of every number of the background and the traffic."""
+        return fingerprint(self._background, self._traffic.vehicles)
 
     def freeze(self, camera: Camera, camera_name: str, interval: tuple[float, float]) -> FrozenView:
         """Split the view of a camera at an ``interval`` of centre depths [m]; thread-safe."""
         view = View.from_camera(camera)
         with torch.no_grad():
-            projected = project(self._splats, view, threads=1)
-            drawn = projected.visible
+            street = project(self._splats, view, threads=1)
+            projected = Projected(torch.cat([street[street.visible].records, *self._traffic.records(camera)]))
             before, behind = projected.depths < interval[0], projected.depths > interval[1]
-            front = composite(projected[drawn & before], view, threads=1)
-            back = composite(projected[drawn & behind], view, threads=1)
+            front = composite(projected[before], view, threads=1)
+            back = composite(projected[behind], view, threads=1)
             open_sky = 1 - back.alpha >= STOP_TRANSMITTANCE  # elsewhere it counts as little as what is not drawn
             sky = torch.from_numpy(sky_colors(self._background.sky, pixel_rays(camera)[open_sky.numpy()]))
             back.rgb[open_sky] += (1 - back.alpha[open_sky])[:, None] * sky
             layers = Layers(front.rgb, front.depth, 1 - front.alpha, back.rgb, back.depth, back.alpha)
             gain = self._background.exposure.get(camera_name, np.ones(3, np.float32))
-            return FrozenView(layers, projected[drawn & ~before & ~behind], torch.from_numpy(gain))
+            return FrozenView(layers, projected[~before & ~behind], torch.from_numpy(gain))
 
 
 def depth_interval(
@@ -125,16 +143,23 @@ def depth_interval(
     return float(depth.min() - slack - DEPTH_SLACK), float(depth.max() + slack + DEPTH_SLACK)
 
 
-def fingerprint(background: Background) -> str:
-    """A hash of every number of a background: equal before and after means that it was left alone."""
+def fingerprint(background: Background, traffic: Sequence[Driven] = ()) -> str:
+    """A hash of every number of a background and its traffic: equal before and after means left alone."""
     digest = hashlib.sha256()
-    g = background.gaussians
-    for array in (g.means, g.quats, g.scales, g.opacities, g.sh, background.sky):
-        digest.update(array.tobytes())
+
+    def add(g: Gaussians) -> None:
+        for array in (g.means, g.quats, g.scales, g.opacities, g.sh):
+            digest.update(array.tobytes())
+
+    add(background.gaussians)
+    digest.update(background.sky.tobytes())
     for key in sorted(background.exposure):
         digest.update(background.exposure[key].tobytes())
     for key in sorted(background.poses):
         digest.update(background.poses[key].tobytes())
+    for asset, trajectory in traffic:
+        add(asset.gaussians)
+        digest.update(trajectory.times.tobytes() + trajectory.world_from_vehicle.tobytes())
     return digest.hexdigest()
 
 

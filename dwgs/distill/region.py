@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, binary_fill_holes, distance_transform_edt
 
-from dwgs.scene import Camera, Frame, Insertion, Track
+from dwgs.scene import Camera, Frame, Insertion, Track, Trajectory
 from dwgs.scene.insertion import box_corners
-from dwgs.scene.pose import inverse, transform_points
+from dwgs.scene.pose import transform_points
 from dwgs.scene.silhouette import NEAR, box_silhouette
 
 MARGIN = 8
@@ -65,8 +65,8 @@ def find_region(
 ) -> Region | None:
     """Of a frame: its reactive mask, or the box of a recorded car, widened; None where nothing is left.
 
-    Pixels of other traffic teach nothing, for the frozen background does not hold it: where it reaches
-    nearer than the vehicle's centre all are left out, farther away those that the vehicle does not cover.
+    Pixels of traffic that the frozen background does not hold teach nothing: where it reaches nearer than
+    the vehicle's centre all are left out, farther away those that the vehicle does not cover.
     A recording holds the vehicle itself too, once per sensor: boxes centred in its own are no traffic.
 
     Args:
@@ -74,11 +74,12 @@ def find_region(
         camera: Through which the vehicle is seen.
         world_from_vehicle: [4, 4] at the frame's time.
         insertion: The vehicle.
-        tracks: Of the recording.
+        tracks: Of the recording, but for what the frozen background holds.
     """
     reactive = frame.reactive_mask
     if reactive is None:
-        tracks = [t for t in tracks if not _is_inside(t, camera.time, world_from_vehicle, insertion.size)]
+        own = [(world_from_vehicle, insertion.size)]
+        tracks = [track for track in tracks if not is_inside(track.trajectory, camera.time, own)]
         supervised = box_silhouette(camera, world_from_vehicle, insertion.size, MARGIN)
         reactive = np.zeros_like(supervised)
     else:
@@ -109,6 +110,20 @@ def visible_fraction(camera: Camera, world_from_vehicle: NDArray[np.float64], in
     return float((inside & (depth > NEAR)).mean())
 
 
+def is_inside(trajectory: Trajectory, time: float, boxes: Sequence[tuple[NDArray[np.float64], NDArray]]) -> bool:
+    """Whether a centre that moves along ``trajectory`` lies in any of the ``boxes`` at a ``time`` [s].
+
+    Two vehicles that drive so are one. A box is its ``world_from_box`` [4, 4] and its size [3].
+    """
+    if not boxes or not trajectory.covers(time):
+        return False
+    centre = trajectory.at(time)[:3, 3]
+    return any(
+        bool((np.abs((centre - world_from_box[:3, 3]) @ world_from_box[:3, :3]) < np.asarray(size) / 2).all())
+        for world_from_box, size in boxes
+    )
+
+
 def covered(camera: Camera, world_from_vehicle: NDArray, insertion: Insertion) -> NDArray[np.bool_]:
     """Pixels [h, w] that the vehicle's points cover, gaps between them closed."""
     points = insertion.vehicle.points
@@ -122,14 +137,6 @@ def covered(camera: Camera, world_from_vehicle: NDArray, insertion: Insertion) -
     hit[row, column] = True
     closed = np.asarray(binary_fill_holes(binary_closing(np.pad(hit, GAP), iterations=GAP)), bool)
     return closed[GAP:-GAP, GAP:-GAP]
-
-
-def _is_inside(track: Track, time: float, world_from_vehicle: NDArray, size: NDArray) -> bool:
-    """Whether the track is the vehicle itself: its centre lies in the vehicle's box."""
-    if not track.trajectory.covers(time):
-        return False
-    position = (inverse(world_from_vehicle) @ track.trajectory.at(time))[:3, 3]
-    return bool((np.abs(position) < np.asarray(size) / 2).all())
 
 
 def _traffic(camera: Camera, tracks: Sequence[Track]) -> Iterator[tuple[NDArray[np.bool_], float]]:

@@ -104,7 +104,8 @@ def _sight(frame, held_out, scene, background, insertion, recipe) -> Sight | Non
     camera = frame.camera if is_generated else refined
     if not visible_fraction(camera, world_from_vehicle, insertion) > recipe.visible:
         return None
-    region = find_region(frame, camera, world_from_vehicle, insertion, scene.tracks)
+    tracks = background.unexplained(scene.tracks, moment)
+    region = find_region(frame, camera, world_from_vehicle, insertion, tracks)
     if region is None:
         return None
     return Sight(frame, camera, refined, world_from_vehicle, region, held_out)
