@@ -52,7 +52,7 @@ def denoise(
     """
     require_sound_cache(model)
     scheduler = scheduler_of(sampling)
-    x = noise.float()
+    x = noise.double()  # latents are small, and UniPC takes differences of differences
     for step, timestep in enumerate(scheduler.timesteps):
         if not sampling.is_guided(step):
             velocity = _velocity(model, x, timestep, [condition])[0]
@@ -64,10 +64,12 @@ def denoise(
                 else [_velocity(model, x, timestep, [side])[0] for side in sides]
             )
             velocity = both[1] + sampling.guidance * (both[0] - both[1])
+        if step == 0:  # UniPC begins a little below sigma = 1, where log(1 - sigma) would be infinite: go there
+            x = x + (scheduler.sigmas[0].item() - 1) * velocity
         x = scheduler.step(velocity, timestep, x, return_dict=False)[0]
         if on_step:
             on_step(step + 1)
-    return x
+    return x.float()
 
 
 def scheduler_of(sampling: Sampling) -> Any:
@@ -86,8 +88,8 @@ def scheduler_of(sampling: Sampling) -> Any:
 
 
 def _velocity(model: Callable[..., Any], x: Tensor, timestep: Tensor, sides: list[Side]) -> list[Tensor]:
-    """noise - data [1, z, T', h, w] as the network sees it, for each side."""
-    dtype = getattr(model, "dtype", x.dtype)
+    """noise - data [1, z, T', h, w] float64 as the network sees it, for each side."""
+    dtype = getattr(model, "dtype", torch.float32)
     velocity = model(
         hidden_states=x.to(dtype).expand(len(sides), -1, -1, -1, -1),
         timestep=timestep.to(x.device).expand(len(sides)),
@@ -95,7 +97,7 @@ def _velocity(model: Callable[..., Any], x: Tensor, timestep: Tensor, sides: lis
         control_hidden_states=torch.cat([side.control for side in sides]).to(x.device, dtype),
         return_dict=False,
     )[0]
-    return list(velocity.float().split(1))
+    return list(velocity.double().split(1))
 
 
 def require_sound_cache(model: Any) -> None:
