@@ -32,11 +32,11 @@ from dwgs.reconstruct.evaluate import evaluate
 from dwgs.reconstruct.initialize import initialize
 from dwgs.reconstruct.model import Street
 from dwgs.reconstruct.sky import SHELL_RADIUS
-from dwgs.reconstruct.static_points import static_points
 from dwgs.reconstruct.traffic import Traffic
 from dwgs.reconstruct.views import TrainingView, evenly, read_view, split_frames
 from dwgs.scene import Background, Frame, Gaussians, InputError, Scene
 from dwgs.scene.ground import Ground
+from dwgs.scene.moving import static_points
 from dwgs.scene.sky import pixel_rays
 
 COARSE = 0.15

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from torch.nn.functional import avg_pool2d, max_pool2d
 
 from dwgs.reconstruct.config import ReconstructConfig
+from dwgs.reconstruct.depth_samples import pixels_of
 from dwgs.reconstruct.discs import discs, sh_of_color
 from dwgs.reconstruct.sky import SHELL_CONTRAST, far_shell, paint_sky
-from dwgs.reconstruct.static_points import pixels_of
 from dwgs.reconstruct.thinning import spacing_in_view, thin
 from dwgs.reconstruct.unseen import continue_colors, meet_ground, road_seen
 from dwgs.reconstruct.views import TrainingView, evenly

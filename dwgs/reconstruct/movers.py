@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dwgs.reconstruct.moving_mask import is_there, moving_tracks
-from dwgs.reconstruct.static_points import depth_samples, hits_in_box, pixels_of
+from dwgs.reconstruct.depth_samples import depth_samples, pixels_of
 from dwgs.reconstruct.views import TrainingView
 from dwgs.scene import Insertion, LidarSweep, Scene, Track, Trajectory, VehiclePoints
 from dwgs.scene.lidar import SURFACES
+from dwgs.scene.moving import hits_in_box, is_there, moving_tracks
 from dwgs.scene.pose import transform_points
 
 GROUND_BAND = 0.1

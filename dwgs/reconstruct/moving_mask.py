@@ -3,17 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dwgs.scene import Frame, Scene, Track, Trajectory
+from dwgs.scene import Frame, Scene
+from dwgs.scene.moving import BODY_MARGIN, moving_tracks
 from dwgs.scene.silhouette import box_silhouette
 
-BODY_MARGIN = 0.25
-"""Boxes are annotated by hand and mirrors stick out: grown by this much on every side [m]."""
 SHADOW_MARGIN = 0.5
 """The shadow reaches this far beyond the box on the ground [m]."""
 SHADOW_HEIGHT = 0.1
 """Of the slab on the ground that stands for the shadow [m]."""
-TIME_SLACK = 0.15
-"""A camera may fire shortly before the first or after the last annotation of a vehicle it sees [s]."""
 
 
 def moving_mask(scene: Scene, frame: Frame, margin: float = 4.0) -> NDArray[np.bool_]:
@@ -34,13 +31,3 @@ def moving_mask(scene: Scene, frame: Frame, margin: float = 4.0) -> NDArray[np.b
         slab = np.array([*(track.size[:2] + 2 * (BODY_MARGIN + SHADOW_MARGIN)), SHADOW_HEIGHT])
         mask |= box_silhouette(camera, world_from_slab, slab, margin)
     return mask
-
-
-def moving_tracks(scene: Scene, time: float) -> list[Track]:
-    """Tracks that ever move and are recorded at this time [s]."""
-    return [track for track in scene.tracks if track.is_moving and is_there(track.trajectory, time)]
-
-
-def is_there(trajectory: Trajectory, time: float) -> bool:
-    """Whether a recorded vehicle may be seen at this time [s]."""
-    return bool(trajectory.times[0] - TIME_SLACK <= time <= trajectory.times[-1] + TIME_SLACK)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dwgs.reconstruct.static_points import pixels_of
+from dwgs.reconstruct.depth_samples import pixels_of
 from dwgs.scene import Camera
 
 VOXEL_PIXELS = 3.0

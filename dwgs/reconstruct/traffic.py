@@ -13,9 +13,9 @@ from torch import Tensor
 from dwgs.optimize import PoseParameters
 from dwgs.reconstruct.config import NEAREST, UNIT_DISTANCE
 from dwgs.reconstruct.discs import discs, sh_of_color
-from dwgs.reconstruct.moving_mask import BODY_MARGIN, is_there
 from dwgs.reconstruct.thinning import VOXEL_PIXELS, thin
 from dwgs.scene import Frame, Gaussians, Insertion, Trajectory, VehicleAsset
+from dwgs.scene.moving import BODY_MARGIN, is_there
 from dwgs.scene.pose import inverse, pose, transform_points
 
 OPACITY, SHADOW_OPACITY = 0.8, 0.05

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from dwgs.reconstruct.depth_samples import depth_samples
 from dwgs.reconstruct.inpaint import fill_smoothly
 from dwgs.reconstruct.moving_mask import moving_mask
-from dwgs.reconstruct.static_points import depth_samples
 from dwgs.reconstruct.unseen import meet_ground
 from dwgs.scene import Camera, Frame, Scene
 from dwgs.scene.ground import Ground

@@ -4,11 +4,11 @@ import numpy as np
 from toy_drive import CAR_COLOR, CAR_SIZE
 
 from dwgs.reconstruct.movers import FEW_POINTS, GROUND_BAND, box_surface, find_movers, hits_on_movers, unmask
-from dwgs.reconstruct.static_points import static_points
 from dwgs.reconstruct.traffic import Traffic
 from dwgs.reconstruct.views import read_view
 from dwgs.scene import Trajectory
 from dwgs.scene.ground import Ground
+from dwgs.scene.moving import static_points
 from dwgs.scene.pose import transform_points
 
 

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 from toy_drive import CAR_COLOR, make_drive
 
-from dwgs.reconstruct.static_points import static_points
 from dwgs.reconstruct.views import evenly, paint_over, read_view, split_frames
 from dwgs.scene.ground import Ground
+from dwgs.scene.moving import static_points
 
 
 def flat(drive):
