@@ -101,6 +101,8 @@ def backend(
         raise InputError("'wan' needs a PointAdapter: give --adapter DIR, or take vace, which works without")
     if name == "vace" and settings.adapter is not None:
         raise InputError("'vace' takes no PointAdapter: leave --adapter out, or take wan")
+    if name == "vace" and settings.whole_frame:
+        raise InputError("'vace' sees no points to paint whole frames by: leave --whole-frame out, or take wan")
     if find_spec("diffusers") is None:
         raise InputError(f"'{name}' needs more packages: pip install 'dwgs[wan]'; composite needs none of them")
     from generator.wan.wan import WanGenerator

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from dwgs.cli.stage import fingerprint
+from dwgs.scene import InputError
 
 if TYPE_CHECKING:
     from generator import Generator
@@ -44,6 +45,9 @@ class BackendChoice:
     fits and changes no picture."""
     attention: str | None = None
     """One of diffusers' attention backends, such as flash; by default PyTorch's."""
+    whole_frame: bool = False
+    """Paint whole images, told of by the LiDAR points of the whole street, and paste nothing recorded back:
+    StreetCrafter's way, for an adapter of `dwgs train --whole-frame`."""
 
     def open(self, parts: Path | None = None) -> "Generator":
         """The backend; what can be wrong with its files is found now.
@@ -54,11 +58,22 @@ class BackendChoice:
         from generator import backend
         from generator.wan.settings import Sampling, WanSettings
 
+        if self.whole_frame and self.backend in ("composite", "asset"):
+            raise InputError(
+                f"'{self.backend}' paints the vehicle into the recorded frame: leave --whole-frame out, or take wan"
+            )
         if self.backbone is None or self.backend in ("composite", "asset"):
             return backend(self.backend, asset=self.asset)
         sampling = Sampling(self.sampler, self.sampling_steps, guidance=self.guidance, guided=self.guided)
         settings = WanSettings(
-            self.backbone, self.adapter, self.strategy, sampling, self.device, self.weights, self.attention
+            self.backbone,
+            self.adapter,
+            self.strategy,
+            sampling,
+            self.device,
+            self.weights,
+            self.attention,
+            self.whole_frame,
         )
         return backend(self.backend, settings, parts)
 

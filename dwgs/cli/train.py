@@ -42,6 +42,8 @@ class Train:
     """What clips are taught to be given: every fourth frame, or the first."""
     points: Literal["discs", "pixels"] = "discs"
     """How the vehicle's points are drawn; pixels is the paper's ablation."""
+    whole_frame: bool = False
+    """Teach to paint whole images, told of by the LiDAR points of the whole street: StreetCrafter's way."""
     init: Literal["vace", "zero", "random"] = "vace"
     """What the adapter starts as."""
     frames: Annotated[str | None, tyro.conf.arg(metavar="FIRST-LAST")] = None
@@ -80,7 +82,8 @@ class Train:
         asked = {"steps": self.steps, "batch": self.batch, "rate": self.rate}
         asked = {name: value for name, value in asked.items() if value is not None}
         config = replace(config, trains=self.trains, init=self.init, seed=self.seed, **asked)
-        return replace(clips, strategy=self.strategy, points=self.points, seed=self.seed), config
+        told = {"strategy": self.strategy, "points": self.points, "whole_frame": self.whole_frame}
+        return replace(clips, **told, seed=self.seed), config
 
     @property
     def _backbone_folder(self) -> Path:

@@ -26,7 +26,7 @@ class Frame:
     load_pixels: Callable[[], NDArray[np.uint8]] = field(repr=False, compare=False)
     """Reads the image [H, W, 3] sRGB; the size is the camera's."""
     load_reactive_mask: Callable[[], NDArray[np.bool_]] | None = field(default=None, repr=False, compare=False)
-    """Reads the reactive mask [H, W] (True where a generator repainted), or None for a recorded frame."""
+    """Reads the reactive mask [H, W] (True where a generator put what was not there), or None for a recorded frame."""
 
     @property
     def pixels(self) -> NDArray[np.uint8]:

@@ -18,6 +18,9 @@ VOXEL = 0.02
 LEAST_POINTS = 100
 """Fewer coloured points do not make a vehicle."""
 
+WINDOW = 10
+"""Sweeps before and after: 2 s of a 10 Hz drive, as in StreetCrafter."""
+
 SIMULTANEOUS = 0.15
 """An image colours points that were hit within so much of its exposure [s]."""
 

@@ -38,13 +38,17 @@ class PointRasterizer:
     def draw(
         self, camera: Camera, world_from_vehicle: NDArray[np.float64]
     ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """The point image [H, W, 3] and the point mask [H, W] of the vehicle at a pose [4, 4].
+        """The point image [H, W, 3] and the point mask [H, W] of the vehicle at a pose [4, 4]."""
+        return blend(camera, *self.visible(camera, world_from_vehicle))
 
-        A disc weighs ``1 - d^2 / r^2``; discs are blended front to back by depth of their centres. What lies
-        on the far side of the vehicle is left out first: so small discs do not cover a near side.
+    def visible(
+        self, camera: Camera, world_from_vehicle: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(u, v, depth) [P, 3] of the points that face the camera, at a pose [4, 4], and their colours [P, 3].
+
+        What lies on the far side of the vehicle is left out: so small discs do not cover a near side.
         """
         camera_from_vehicle = camera.camera_from_world @ world_from_vehicle
-        radius = max(0.5 * RADIUS * min(camera.width, camera.height), _LEAST_RADIUS)
         shape = (camera.height, camera.width)
         pixels = np.zeros((len(self._colors), 3), np.float32)
         pose = wp.mat44(camera_from_vehicle.astype(np.float32))
@@ -57,20 +61,36 @@ class PointRasterizer:
         pixels, colors = pixels[drawn], self._colors[drawn]
         nearest = np.full(shape, np.inf, np.float32)
         reach = self._reach * float(camera.K[0, 0])
-        inputs = [_wrap(pixels, wp.vec3), radius, reach, _wrap(nearest, wp.float32)]
+        inputs = [_wrap(pixels, wp.vec3), _radius(camera), reach, _wrap(nearest, wp.float32)]
         wp.launch(kernels.find_nearest, dim=1, inputs=inputs, device="cpu")
 
         column, row = pixels[:, :2].astype(np.int64).T
-        front = np.flatnonzero(pixels[:, 2] <= nearest[row, column] + _BEHIND)
-        front = front[np.argsort(pixels[front, 2], kind="stable")]
-        rgb = np.zeros((*shape, 3), np.float32)
-        transmittance = np.ones(shape, np.float32)
-        hits = np.zeros(shape, np.int32)
-        inputs = [_wrap(pixels[front], wp.vec3), _wrap(colors[front], wp.vec3), radius]
-        inputs += [_wrap(rgb, wp.vec3), _wrap(transmittance, wp.float32), _wrap(hits, wp.int32)]
-        wp.launch(kernels.blend, dim=1, inputs=inputs, device="cpu")
-        image = np.rint(rgb + GREY * transmittance[..., None]).astype(np.uint8)
-        return image, 1 - transmittance > MASK_THRESHOLD
+        front = pixels[:, 2] <= nearest[row, column] + _BEHIND
+        return pixels[front], colors[front]
+
+
+def blend(
+    camera: Camera, pixels: NDArray[np.float32], colors: NDArray[np.float32]
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """The point image [H, W, 3] and the point mask [H, W] of discs at (u, v, depth) [P, 3] with colours [P, 3].
+
+    A disc weighs ``1 - d^2 / r^2``; discs are blended front to back by depth of their centres.
+    """
+    shape = (camera.height, camera.width)
+    front = np.argsort(pixels[:, 2], kind="stable")
+    rgb = np.zeros((*shape, 3), np.float32)
+    transmittance = np.ones(shape, np.float32)
+    hits = np.zeros(shape, np.int32)
+    inputs = [_wrap(pixels[front], wp.vec3), _wrap(colors[front], wp.vec3), _radius(camera)]
+    inputs += [_wrap(rgb, wp.vec3), _wrap(transmittance, wp.float32), _wrap(hits, wp.int32)]
+    wp.launch(kernels.blend, dim=1, inputs=inputs, device="cpu")
+    image = np.rint(rgb + GREY * transmittance[..., None]).astype(np.uint8)
+    return image, 1 - transmittance > MASK_THRESHOLD
+
+
+def _radius(camera: Camera) -> float:
+    """Of a disc [px]."""
+    return max(0.5 * RADIUS * min(camera.width, camera.height), _LEAST_RADIUS)
 
 
 def _spacing(points: NDArray) -> float:

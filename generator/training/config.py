@@ -22,6 +22,8 @@ class ClipConfig:
     """What GT-aware clips are given: every fourth frame, or (autoregressive) the first."""
     points: Literal["discs", "pixels"] = "discs"
     """How points are drawn; ``pixels`` is the paper's ablation."""
+    whole_frame: bool = False
+    """Whether whole images are painted, told of by LiDAR points of the whole street: StreetCrafter's way."""
     seed: int = 0
     """Of how given frames are degraded."""
 
@@ -31,6 +33,8 @@ class ClipConfig:
                 "a training clip has 1 + 4 k frames, at least 5, with strides and a hop of at least 1, got "
                 f"{self.frames}, {self.strides} and {self.hop}"
             )
+        if self.whole_frame and self.points != "discs":
+            raise InputError("whole frames are drawn with discs; leave --points or --whole-frame out")
 
     @property
     def given(self) -> tuple[int, ...]:

@@ -73,3 +73,5 @@ class WanSettings:
     """What is done with the weights; by default what fits."""
     attention: str | None = None
     """One of diffusers' attention backends; by default PyTorch's."""
+    whole_frame: bool = False
+    """Whether whole images are painted, told of by LiDAR points of the whole street: StreetCrafter's way."""

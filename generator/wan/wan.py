@@ -15,6 +15,7 @@ from dwgs.scene.errors import InputError
 from dwgs.scene.scene import Frame, Scene
 from dwgs.video import LosslessVideo, write_lossless
 from generator.conditions.conditions import ConditionFrame, Conditions
+from generator.conditions.whole_frame import require_lidar, whole_frame
 from generator.generator import Capabilities
 from generator.long_video import CLIP, Pass, plan, seen
 from generator.wan.adapter import adapter_config, fingerprint_of, load_adapter, parameters_of, require_adapter
@@ -72,6 +73,8 @@ class WanGenerator:
                     f"'{self.name}' takes images whose sides are multiples of {SIZE_MULTIPLE}, these are "
                     f"{width}x{height}; choose a --size such as {_near(width)}x{_near(height)}"
                 )
+        if self.settings.whole_frame:
+            require_lidar(scene)
         footprint, memory = self._memory(scene)
         notes = [f"{self.name}: {footprint.weights / GB:.1f} GB of weights, clips of {CLIP} frames; what fits where:"]
         notes += [*table(footprint), f"on {', '.join(self.devices)}: {memory}"]
@@ -80,13 +83,17 @@ class WanGenerator:
     def generate(
         self, conditions: Conditions, seed: int, on_progress: Callable[[int, int], None] | None = None
     ) -> Scene:
-        """The recorded scene with the vehicle in it; progress counts passes through the network."""
+        """The recorded scene with the vehicle in it; progress counts steps of all passes through the network.
+
+        The frames' reactive masks say where the vehicle may show, even where whole images are new.
+        """
+        told = whole_frame(conditions) if self.settings.whole_frame else conditions
         films = {name: plan(self.settings.strategy, len(frames)) for name, frames in conditions.frames.items()}
         passes = sum(len(level) for levels in films.values() for level in levels)
         counter = _Counter(passes * self.settings.sampling.steps, on_progress)
         studio = _Studio(self, conditions.scene, counter)
         edited = {}
-        for number, (name, frames) in enumerate(conditions.frames.items()):
+        for number, (name, frames) in enumerate(told.frames.items()):
             made: dict[int, NDArray[np.uint8]] = {}
             for depth, level in enumerate(films[name]):
                 jobs = [_Job(f"{name}-{depth}-{i}", a_pass, (seed, number, depth, i)) for i, a_pass in enumerate(level)]
@@ -94,7 +101,7 @@ class WanGenerator:
                 for job, images in zip(jobs, studio.work(jobs, frames, made), strict=True):
                     fresh |= zip(job.a_pass.makes, images[job.a_pass.drops :], strict=True)
                 made |= fresh
-            edited[name] = tuple(_edited(f, made[i]) for i, f in enumerate(frames))
+            edited[name] = tuple(_edited(f, made[i]) for i, f in enumerate(conditions.frames[name]))
         return replace(conditions.scene, frames=edited)
 
     def load(self, device: str, memory: MemoryPlan) -> Network:

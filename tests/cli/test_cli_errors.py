@@ -58,6 +58,12 @@ def test_a_backend_without_its_weights(refused):
     assert "--backbone DIR" in refused("insert", "street", "--vehicle", "street", "--backend", "wan", *TOY)
 
 
+@pytest.mark.parametrize("backend", ["composite", "asset"])
+def test_whole_frames_of_a_backend_that_knows_none(refused, backend):
+    message = refused("insert", "street", "--vehicle", "street", "--backend", backend, "--whole-frame", *TOY)
+    assert "leave --whole-frame out" in message
+
+
 def test_a_trajectory_shorter_than_the_clip(refused, tmp_path):
     path = tmp_path / "short.csv"
     path.write_text("t,x,y,z,heading\n0,10,0,0.8,0\n0.3,12,0,0.8,0\n")

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dwgs.scene import InputError
+from dwgs.scene import InputError, LidarSweep
 from generator import backend
 from generator.wan import network
 from generator.wan.settings import Sampling, WanSettings
@@ -66,6 +66,31 @@ def test_a_run_that_was_killed_goes_on_and_ends_as_if_it_had_not_been(settings, 
     assert progress[0] == (2, 6)
 
 
+def test_whole_frames_are_painted_and_the_masks_still_say_where_the_vehicle_is(settings, conditions, monkeypatch):
+    given, told = conditions(5), []
+    rng = np.random.default_rng(0)
+    ahead = np.stack([rng.uniform(-5, 5, 500), rng.uniform(-3, 3, 500), rng.uniform(9, 20, 500)], 1)
+    sweeps = tuple(LidarSweep(ahead.astype(np.float32), np.full(500, t), np.zeros(3), t, i) for i, t in ((2, 0.2),))
+    generate = network.Network.generate
+
+    def spy(self, clip, *arguments):
+        told.append(clip)
+        return generate(self, clip, *arguments)
+
+    monkeypatch.setattr(network.Network, "generate", spy)
+    generator = WanGenerator(replace(settings, whole_frame=True))
+    with pytest.raises(InputError, match="leave --whole-frame out"):
+        generator.check(given.scene)
+    lit = replace(given, scene=replace(given.scene, sweeps=sweeps))
+    edited = generator.generate(lit, 0)
+    (clip,) = told
+    assert clip.reactive_mask.all()
+    assert clip.point_mask.any(axis=(1, 2)).all()
+    assert (pixels(edited) != pixels(given.scene)).any(-1).mean() > 0.9
+    masks = [f.load_reactive_mask() for f in given.frames["front"]]
+    assert np.array_equal([f.reactive_mask for f in edited.all_frames()], masks)
+
+
 def test_several_devices_make_the_same_pixels(settings, conditions):
     one, two = (
         pixels(WanGenerator(replace(settings, devices=devices)).generate(conditions(97), 0))
@@ -108,6 +133,8 @@ def test_the_backends_are_known_by_their_names(settings):
         backend("wan", replace(settings, adapter=None))
     with pytest.raises(InputError, match="'vace' takes no PointAdapter"):
         backend("vace", settings)
+    with pytest.raises(InputError, match="'vace' sees no points to paint whole frames by: leave"):
+        backend("vace", replace(settings, adapter=None, whole_frame=True))
 
 
 def test_what_it_needs_is_said_before_anything_is_loaded(settings, conditions, monkeypatch):
