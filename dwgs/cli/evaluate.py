@@ -2,7 +2,7 @@
 
 import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,6 +44,9 @@ class Evaluate:
     their vehicles: [{"scene": DIR, "vehicle": CAR, "ahead": 14, "left": 3.3, "frames": "30-78"}, ...]."""
     systems: tuple[str, ...] = SYSTEMS
     """Rows of the table; -D is the distillation of the system before it."""
+    trained: Annotated[dict[str, Path], tyro.conf.arg(metavar="SYSTEM DIR ...")] = field(default_factory=dict)
+    """Folders of `dwgs train` with the weights that a system has of its own: streetcrafter and the ablations
+    wan-finetuned, wan-pixels, wan-autoregressive; wan takes those of --adapter, or its own, too."""
     frames: Annotated[str | None, tyro.conf.arg(metavar="FIRST-LAST")] = None
     """First and last frame where a drive does not say; by default all."""
     size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
@@ -60,7 +63,7 @@ class Evaluate:
         from dwgs.evaluation import tabulate
         from dwgs.evaluation.sheet import draw_sheet
 
-        systems = [System.of(name, self.given) for name in dict.fromkeys(self.systems)]
+        systems = [System.of(name, self.given, self.trained) for name in dict.fromkeys(self.systems)]
         networks = self._networks()
         cases = read_cases(self.scenes, Clip("", frames=self.frames, size=self.size))
         results: dict[str, list[Measured]] = {system.name: [] for system in systems}

@@ -1,28 +1,53 @@
 """The systems that an evaluation compares: each turns a drive into the drive with the vehicle in it."""
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
 
 from dwgs.cli.backend import BackendChoice
+from dwgs.cli.train import ADAPTER, SETTINGS, TRAINED_BACKBONE
 from dwgs.scene import InputError
 
 TRUTH = "ground-truth"
 """The true vehicle, where it can be rendered."""
 DISTILLED = "-D"
 """Ends the name of a system whose vehicle is distilled and rendered with the reconstructed street."""
-BACKENDS: dict[str, dict[str, Any]] = {
-    "composite": {"backend": "composite", "asset": None},
-    "asset": {"backend": "asset"},
-    "vace": {"backend": "vace", "asset": None, "adapter": None},
-    "streetcrafter": {"backend": "wan", "asset": None, "strategy": "autoregressive", "whole_frame": True},
-    "wan": {"backend": "wan", "asset": None},
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What makes a system; the rest is the user's: where weights are, how many steps."""
+
+    choice: Mapping[str, Any]
+    """What it sets of a `BackendChoice`."""
+    taught: Mapping[str, Any] = field(default_factory=dict)
+    """What `dwgs train` was told to make its weights; where there is anything, they are its own."""
+
+
+ASIS = {"trains": "adapter", "strategy": "global-to-local", "points": "discs", "whole_frame": False}
+"""What `dwgs train` is told of these unless something else is said: DriveWeaver."""
+RECIPES = {
+    "composite": Recipe({"backend": "composite"}),
+    "asset": Recipe({"backend": "asset"}),
+    "vace": Recipe({"backend": "vace", "adapter": None}),
+    "streetcrafter": Recipe(
+        {"backend": "wan", "strategy": "autoregressive", "whole_frame": True},
+        {"strategy": "autoregressive", "whole_frame": True},
+    ),
+    "wan": Recipe({"backend": "wan"}),
+    "wan-finetuned": Recipe({"backend": "wan"}, {"trains": "all"}),
+    "wan-pixels": Recipe({"backend": "wan"}, {"points": "pixels"}),
+    "wan-autoregressive": Recipe({"backend": "wan", "strategy": "autoregressive"}, {"strategy": "autoregressive"}),
 }
-"""What each system but the truth sets of a `BackendChoice`; the rest is the user's: where weights are, how many steps.
+"""Every system but the truth.
 
 HUGSIM's way is ``asset``, StreetCrafter's (points condition the whole frame, clip after clip) ``streetcrafter``,
-DriveWeaver itself ``wan``, and DriveWeaver-D ``wan-D``.
+DriveWeaver itself ``wan``, and DriveWeaver-D ``wan-D``. The last three are the paper's ablations: the backbone learns
+instead of an adapter, points are pixels instead of discs, and clips follow each other.
 """
-SYSTEMS = tuple(name + suffix for name in (TRUTH, *BACKENDS) for suffix in ("", DISTILLED))
+SYSTEMS = tuple(name + suffix for name in (TRUTH, *RECIPES) for suffix in ("", DISTILLED))
 """Every row there can be."""
 
 
@@ -34,27 +59,41 @@ class System:
     """One of `SYSTEMS`."""
     choice: BackendChoice | None = None
     """What makes the pixels; None for the truth, or where it cannot work."""
+    points: Literal["discs", "pixels"] = "discs"
+    """How the points of its conditions are drawn."""
     obstacle: str | None = None
     """Why it cannot work."""
 
     @staticmethod
-    def of(name: str, given: BackendChoice) -> "System":
-        """The system of that name, with what the user gave for all; `InputError` where there is none."""
-        if name not in SYSTEMS:
-            raise InputError(f"no system is called '{name}'; there are {', '.join(SYSTEMS)}")
+    def of(name: str, given: BackendChoice, trained: Mapping[str, Path]) -> "System":
+        """The system of that name.
+
+        Args:
+            name: One of `SYSTEMS`.
+            given: What the user said for all.
+            trained: Folders of `dwgs train` by the name of the system whose weights they hold.
+
+        Raises:
+            InputError: There is none of that name.
+        """
+        for said in (name, *trained):
+            if said not in SYSTEMS:
+                raise InputError(f"no system is called '{said}'; there are {', '.join(SYSTEMS)}")
         source = name.removesuffix(DISTILLED)
         if source == TRUTH:
             return System(name)
-        settings = BACKENDS[source]
-        known = {f.name for f in fields(BackendChoice)}
-        if lacking := sorted(key for key in settings if settings[key] is not None and key not in known):
-            return System(name, obstacle=f"no backend here knows {' and '.join(lacking)}")
-        choice = replace(given, **{key: value for key, value in settings.items() if key in known})
+        recipe = RECIPES[source]
+        asset = given.asset if recipe.choice["backend"] == "asset" else None
+        choice = replace(given, **{"asset": asset, "whole_frame": False, **recipe.choice})
         try:
+            if source in trained:
+                choice = _with_weights(choice, recipe, trained[source])
+            elif recipe.taught:
+                raise InputError(f"it has weights of its own: give --trained {source} DIR, from {_training(recipe)}")
             choice.open()
         except InputError as error:
             return System(name, obstacle=str(error))
-        return System(name, choice)
+        return System(name, choice, recipe.taught.get("points", "discs"))
 
     @property
     def source(self) -> str:
@@ -65,3 +104,25 @@ class System:
     def is_distilled(self) -> bool:
         """Whether its pixels are those of Gaussians."""
         return self.name.endswith(DISTILLED)
+
+
+def _with_weights(choice: BackendChoice, recipe: Recipe, folder: Path) -> BackendChoice:
+    """The choice with the weights that a training left; `InputError` where it was taught something else."""
+    try:
+        said = json.loads((folder / SETTINGS).read_text(encoding="utf-8"))["settings"]
+        taught = {key: said[key] for key in ASIS}
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(f"'{folder}' is no finished training; give what {_training(recipe)} left") from None
+    for key, value in {**ASIS, **recipe.taught}.items():
+        if taught[key] != value:
+            raise InputError(f"'{folder}' was taught with {key} {taught[key]}; give what {_training(recipe)} left")
+    backbone = folder / TRAINED_BACKBONE if taught["trains"] == "all" else choice.backbone
+    return replace(choice, backbone=backbone, adapter=folder / ADAPTER)
+
+
+def _training(recipe: Recipe) -> str:
+    """The command that makes a system's weights."""
+    options = [
+        f"--{key.replace('_', '-')}" + ("" if value is True else f" {value}") for key, value in recipe.taught.items()
+    ]
+    return " ".join(["`dwgs train", *options]) + "`"

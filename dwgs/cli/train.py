@@ -1,5 +1,6 @@
 """dwgs train: a PointAdapter, from recorded drives."""
 
+import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -9,13 +10,19 @@ import tyro
 from dwgs.cli.options import Clip
 from dwgs.cli.progress import Bar, bar, say
 from dwgs.cli.reconstruct import clip_key
-from dwgs.cli.stage import fingerprint, run_stage
+from dwgs.cli.stage import fingerprint, run_stage, versions
+from dwgs.files import new_file
 from dwgs.scene import InputError
 
 if TYPE_CHECKING:
     from generator.training.cache import Cache
     from generator.training.config import ClipConfig, TrainingConfig
     from generator.wan.weights import Backbone
+
+SETTINGS = "run.json"
+"""In a training's folder, once it has ended: what it was told."""
+ADAPTER, TRAINED_BACKBONE = "adapter", "trained-backbone"
+"""What it leaves there; the backbone where it learnt, too."""
 
 
 @dataclass(frozen=True)
@@ -142,4 +149,6 @@ class Train:
                     progress.tell(f"held-out loss {event.loss:.4f}")
         if is_main:
             steered, adapter = trainer.export(self.out)
+            with new_file(self.out / SETTINGS) as draft:
+                draft.write_text(json.dumps({"settings": asdict(self), "versions": versions()}, indent=2, default=str))
             say(f"next: dwgs insert SCENE ... --backend wan --backbone {steered} --adapter {adapter}")

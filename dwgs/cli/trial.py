@@ -15,7 +15,7 @@ from dwgs.cli.distill import distill_config, distill_stage
 from dwgs.cli.generate import generate_stage
 from dwgs.cli.options import author_insertion
 from dwgs.cli.progress import Bar, say
-from dwgs.cli.reconstruct import clip_key, joint_stage, reconstruct_stage
+from dwgs.cli.reconstruct import TRAFFIC, clip_key, joint_stage
 from dwgs.cli.record import keep_stage, record_stage
 from dwgs.cli.render import read_driven, rendered
 from dwgs.cli.stage import StageRecord, run_stage
@@ -25,7 +25,10 @@ from dwgs.scene import Scene
 if TYPE_CHECKING:
     from dwgs.evaluation import Measured, Subject
     from dwgs.metrics.network import NetworkFile
+    from dwgs.reconstruct import ReconstructConfig
 
+STREET = "street"
+"""The drive as Gaussians, with all that moves in it: what distilled vehicles are learnt and shown in."""
 FEATURES = "features.safetensors"
 """Beside a record of measures: what networks saw in the video."""
 
@@ -43,6 +46,13 @@ class Effort:
     how well one world explains it."""
     seed: int = 0
     """Of everything random."""
+
+    @property
+    def reconstruction(self) -> "ReconstructConfig":
+        """How streets are fitted with their traffic."""
+        from dwgs.reconstruct import ReconstructConfig
+
+        return ReconstructConfig.draft(self.seed) if self.draft else ReconstructConfig.joint(self.seed)
 
 
 @dataclass(frozen=True)
@@ -80,8 +90,8 @@ class Trial:
                 keep_stage(truth, "truth", source, folder / "truth")
                 truth = scene_folder.read(folder / "truth")
             scene = scene_folder.read(folder / "recorded")
-        condition_stage(scene, insertion, source, folder / "conditions")
-        conditions = read(folder / "conditions", scene)
+        condition_stage(scene, insertion, source, folder / "conditions-discs")
+        conditions = read(folder / "conditions-discs", scene)
         masks = tuple(frame.load_reactive_mask for frame in conditions.frames[scene.main_camera])
         return Trial(folder, Subject(scene, insertion, masks, truth), recording, source, effort, networks)
 
@@ -117,30 +127,25 @@ class Trial:
         if system.choice is None:
             assert self.subject.truth is not None
             return self.subject.truth, "truth"
-        edited = self.folder / system.source / "edited"
-        conditions, seed = self.folder / "conditions", self.effort.seed
-        record = generate_stage(self.subject.recorded, conditions, self.source, edited, system.choice, seed)
+        edited, subject = self.folder / system.source / "edited", self.subject
+        conditions, source = self.folder / f"conditions-{system.points}", {**self.source, "points": system.points}
+        condition_stage(subject.recorded, subject.insertion, self.source, conditions, system.points)
+        record = generate_stage(subject.recorded, conditions, source, edited, system.choice, self.effort.seed)
         return scene_folder.read(edited), record.key
 
     def _explained(self, system: System, video: Scene, key: str) -> dict[str, float]:
         """PSNR [dB] and SSIM of a joint reconstruction of a video, on the frames that taught it."""
-        from dwgs.reconstruct import ReconstructConfig
-
-        seed = self.effort.seed
-        config = ReconstructConfig.draft(seed) if self.effort.draft else ReconstructConfig.joint(seed)
         source = {"insertion": self.source, "edited": key}
         folder = self.folder / system.name / "joint"
-        report = joint_stage(video, self.subject.insertion, source, folder, config).report
+        report = joint_stage(video, self.subject.insertion, source, folder, self.effort.reconstruction).report
         return {"joint_psnr": report["psnr_train"], "joint_ssim": report["ssim_train"]}
 
     def _distil(self, system: System, video: Scene, key: str) -> StageRecord:
         """The vehicle that a video shows, before the reconstructed street."""
         from dwgs.formats import background_folder
 
-        street = self.folder / "background"
-        background = reconstruct_stage(
-            self.subject.recorded, self.recording, street, self.effort.draft, self.effort.seed
-        )
+        street = self.folder / STREET
+        background = joint_stage(self.subject.recorded, None, self.recording, street, self.effort.reconstruction)
         return distill_stage(
             video,
             background_folder.read(street),
@@ -151,15 +156,16 @@ class Trial:
         )
 
     def _rendered(self, system: System, key: str) -> tuple[Scene, str]:
-        """The street and the distilled vehicle as the cameras of the recording see them."""
+        """The street, its traffic and the distilled vehicle as the cameras of the recording see them."""
         from dwgs.datasets import folder as scene_folder
         from dwgs.formats import background_folder
         from viewer.renderer import Renderer
         from viewer.scene_graph import SceneGraph
 
-        folder = self.folder / system.name
-        background = background_folder.read(self.folder / "background")
-        graph = SceneGraph(background, [read_driven(folder / "asset")])
+        folder, street = self.folder / system.name, self.folder / STREET
+        background = background_folder.read(street)
+        traffic = [read_driven(actor) for actor in sorted((street / TRAFFIC).glob("*"))]
+        graph = SceneGraph(background, [*traffic, read_driven(folder / "asset")])
         camera = self.subject.recorded.all_frames()[0].camera
         renderer = Renderer(camera.width, camera.height)
         frames = {

@@ -8,11 +8,16 @@ import pytest
 import torch
 
 from dwgs.cli import main
+from dwgs.cli.backend import BackendChoice
 from dwgs.cli.cases import read_cases
 from dwgs.cli.options import Clip
+from dwgs.cli.systems import ASIS, RECIPES, SYSTEMS, System
 from dwgs.reconstruct import ReconstructConfig
 from dwgs.scene import InputError
+from generator.wan.adapter import new_adapter
+from generator.wan.tiny import tiny_transformer, write_tiny_backbone
 
+OWN = ("streetcrafter", "wan", "wan-finetuned", "wan-pixels", "wan-autoregressive")
 TOY = ("--frames", "0-8", "--size", "96x64", "--draft", "--distill-steps", "20")
 
 
@@ -102,6 +107,65 @@ def test_a_joint_reconstruction_is_made_where_it_is_asked_for(table, out):
     systems = evaluate(out, "--joint", systems=("asset",))["systems"]
     assert 8 < systems["asset"]["joint_psnr"]["value"] < 50
     assert 0 < systems["asset"]["joint_ssim"]["value"] < 1
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """A folder with a toy backbone, and for every system that has weights of its own what `dwgs train` leaves."""
+    folder = tmp_path_factory.mktemp("weights")
+    write_tiny_backbone(folder / "backbone")
+    for name in OWN:
+        new_adapter(tiny_transformer()).save(folder / name / "adapter")
+        (folder / name / "run.json").write_text(json.dumps({"settings": {**ASIS, **RECIPES[name].taught}}))
+    write_tiny_backbone(folder / "wan-finetuned" / "trained-backbone")
+    return folder
+
+
+def test_every_system_runs_on_toy_weights(out, weights, tmp_path):
+    names = [name for name in SYSTEMS if not name.endswith("-D") or name == "streetcrafter-D"]
+    given = ["--systems", *names, "--backbone", str(weights / "backbone"), "--trained"]
+    for name in OWN:
+        given += [name, str(weights / name)]
+    small = ["--frames", "0-4", "--size", "48x32", "--draft", "--distill-steps", "2", "--sampling-steps", "1"]
+    fid = write(Stub(), tmp_path / "fid.pt")
+    main(["evaluate", "street:3", *small, *given, "--fid", fid, "-o", str(out.parent / "every")])
+    document = json.loads((out.parent / "every" / "table.json").read_text())
+    assert list(document["systems"]) == names
+    assert document["absent"] == {}
+    for name, cells in document["systems"].items():
+        assert cells["fid"]["value"] > 0
+        assert cells["lpips"] == {"value": None, "reason": "--lpips FILE"}
+        whole = name in ("ground-truth", "streetcrafter", "streetcrafter-D")  # may change any pixel
+        assert (cells["kept"]["value"] == 100) == (not whole)
+
+
+def test_a_system_takes_the_weights_of_its_own_training(weights):
+    given = BackendChoice(backbone=weights / "backbone")
+    trained = {name: weights / name for name in OWN}
+    full, pixels, own = (System.of(name, given, trained) for name in ("wan-finetuned", "wan-pixels-D", "wan"))
+    assert full.choice.backbone == weights / "wan-finetuned" / "trained-backbone"
+    assert (pixels.points, own.points) == ("pixels", "discs")
+    assert pixels.choice.adapter == weights / "wan-pixels" / "adapter"
+    assert System.of("wan-autoregressive", given, trained).choice.strategy == "autoregressive"
+    assert System.of("streetcrafter", given, trained).choice.whole_frame
+
+
+@pytest.mark.parametrize(
+    ("name", "trained", "complaint"),
+    [
+        ("wan-pixels", {}, "give --trained wan-pixels DIR, from `dwgs train --points pixels`"),
+        ("streetcrafter-D", {}, "from `dwgs train --strategy autoregressive --whole-frame`"),
+        ("wan-pixels", {"wan-pixels": "wan"}, "was taught with points discs; give what `dwgs train --points pixels`"),
+        ("wan", {"wan": "wan-finetuned"}, "was taught with trains all; give what `dwgs train` left"),
+        ("wan-finetuned", {"wan-finetuned": "backbone"}, "is no finished training"),
+        ("wan", {}, "give --adapter DIR"),
+    ],
+)
+def test_a_system_without_its_weights_says_what_makes_them(weights, name, trained, complaint):
+    folders = {key: weights / folder for key, folder in trained.items()}
+    system = System.of(name, BackendChoice(backbone=weights / "backbone"), folders)
+    assert system.choice is None
+    assert complaint in system.obstacle
 
 
 def refusal(capsys, *arguments):

@@ -10,6 +10,7 @@ import torch
 from safetensors.torch import load_file
 
 from dwgs.cli import main
+from dwgs.cli.systems import ASIS
 from dwgs.datasets import folder as scene_folder
 from generator.wan.settings import WanSettings
 from generator.wan.wan import WanGenerator
@@ -44,6 +45,11 @@ def test_training_leaves_an_adapter_that_generates(out):
     assert generator.name == "wan"
     events = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
     assert [e["step"] for e in events if e["event"] == "stepped"] == [1, 2, 3]
+
+
+def test_it_leaves_what_it_was_told_for_whoever_compares(out):
+    settings = json.loads((out / "run.json").read_text())["settings"]
+    assert {key: settings[key] for key in ASIS} == ASIS
 
 
 def test_more_steps_go_on_from_the_last_checkpoint(out, drive, capsys):
