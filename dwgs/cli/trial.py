@@ -15,7 +15,7 @@ from dwgs.cli.distill import distill_config, distill_stage
 from dwgs.cli.generate import generate_stage
 from dwgs.cli.options import author_insertion
 from dwgs.cli.progress import Bar, say
-from dwgs.cli.reconstruct import TRAFFIC, clip_key, joint_stage
+from dwgs.cli.reconstruct import TRAFFIC, clip_key, joint_stage, reconstruct_stage
 from dwgs.cli.record import keep_stage, record_stage
 from dwgs.cli.render import read_driven, rendered
 from dwgs.cli.stage import StageRecord, run_stage
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from dwgs.metrics.network import NetworkFile
     from dwgs.reconstruct import ReconstructConfig
 
-STREET = "street"
-"""The drive as Gaussians, with all that moves in it: what distilled vehicles are learnt and shown in."""
 FEATURES = "features.safetensors"
 """Beside a record of measures: what networks saw in the video."""
 
@@ -144,8 +142,8 @@ class Trial:
         """The vehicle that a video shows, before the reconstructed street."""
         from dwgs.formats import background_folder
 
-        street = self.folder / STREET
-        background = joint_stage(self.subject.recorded, None, self.recording, street, self.effort.reconstruction)
+        street, effort = self.folder / "background", self.effort
+        background = reconstruct_stage(self.subject.recorded, self.recording, street, effort.draft, effort.seed)
         return distill_stage(
             video,
             background_folder.read(street),
@@ -162,18 +160,27 @@ class Trial:
         from viewer.renderer import Renderer
         from viewer.scene_graph import SceneGraph
 
-        folder, street = self.folder / system.name, self.folder / STREET
-        background = background_folder.read(street)
-        traffic = [read_driven(actor) for actor in sorted((street / TRAFFIC).glob("*"))]
-        graph = SceneGraph(background, [*traffic, read_driven(folder / "asset")])
-        camera = self.subject.recorded.all_frames()[0].camera
+        recorded, folder = self.subject.recorded, self.folder / system.name
+        background = background_folder.read(self.folder / "background")
+        traffic, made_by = self._traffic()
+        graph = SceneGraph(background, [*map(read_driven, traffic), read_driven(folder / "asset")])
+        camera = recorded.all_frames()[0].camera
         renderer = Renderer(camera.width, camera.height)
         frames = {
             name: tuple(replace(f, load_pixels=partial(rendered, renderer, graph, background, f)) for f in frames)
-            for name, frames in self.subject.recorded.frames.items()
+            for name, frames in recorded.frames.items()
         }
-        record = keep_stage(replace(self.subject.recorded, frames=frames), "render", {"asset": key}, folder / "edited")
+        inputs = {"asset": key, "traffic": made_by}
+        record = keep_stage(replace(recorded, frames=frames), "render", inputs, folder / "edited")
         return scene_folder.read(folder / "edited"), record.key
+
+    def _traffic(self) -> tuple[list[Path], str]:
+        """Assets of all that moves in the recording, which the background lacks; and what they were made by."""
+        if not any(track.is_moving for track in self.subject.recorded.tracks):
+            return [], ""
+        whole = self.folder / "whole"
+        record = joint_stage(self.subject.recorded, None, self.recording, whole, self.effort.reconstruction)
+        return sorted((whole / TRAFFIC).glob("*")), record.key
 
     def _measured(self, system: System, video: Scene, key: str, own: dict[str, float]) -> "Measured":
         """Everything that is measured of a video, with what its making has measured already."""
