@@ -46,6 +46,24 @@ def test_the_vehicle_is_distilled_from_it(folder):
     assert report["settings"]["generator"]["backend"] == "wan"
 
 
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("--backbone", "there is no 'nowhere/transformer/config.json'"),
+        ("--adapter", "there is no 'nowhere/config.json'"),
+        ("--size", "takes images whose sides are multiples of 16"),
+    ],
+)
+def test_what_cannot_work_is_said_before_anything_is_read(folder, tmp_path, capsys, option, said):
+    out = folder / "out"
+    command = ["generate", str(out / "recorded"), "--conditions", str(out / "conditions"), *wan(folder)]
+    with pytest.raises(SystemExit) as exit:
+        main([*command, option, "50x32" if option == "--size" else "nowhere", "-o", str(tmp_path / "never")])
+    assert exit.value.code == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+    assert not list(tmp_path.iterdir())
+
+
 def test_no_parts_are_left_behind(folder):
     assert not list((folder / "out").glob(".*.parts"))
 

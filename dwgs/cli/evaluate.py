@@ -18,6 +18,7 @@ from dwgs.cli.stage import versions
 from dwgs.cli.systems import SYSTEMS, System
 from dwgs.cli.trial import Effort, Trial
 from dwgs.files import new_file
+from dwgs.scene import InputError
 
 if TYPE_CHECKING:
     from dwgs.evaluation import Measured, Table
@@ -66,20 +67,25 @@ class Evaluate:
         systems = [System.of(name, self.given, self.trained) for name in dict.fromkeys(self.systems)]
         networks = self._networks()
         cases = read_cases(self.scenes, Clip("", frames=self.frames, size=self.size))
+        absent = {system.name: system.obstacle for system in systems if system.obstacle}
         results: dict[str, list[Measured]] = {system.name: [] for system in systems}
         stills: dict[str, list[NDArray[np.uint8]]] = {system.name: [] for system in systems}
         for case in cases:
             say(f"[bold]{case.name}")
             trial = Trial.prepare(case, self.out / case.name, self.effort, networks)
-            for system in systems:
-                if system.obstacle:
+            for name, system in ((s.name, s) for s in systems if s.name not in absent):
+                say(f"[bold]{case.name} {name}")
+                try:
+                    measured = trial.judge(system)
+                except InputError as error:  # the other systems' table is not lost by it
+                    absent[name] = f"{case.name}: {error}"
+                    say(f"{name} cannot go on: {error}")
                     continue
-                say(f"[bold]{case.name} {system.name}")
-                if measured := trial.judge(system):
-                    results[system.name].append(measured)
-                    stills[system.name].append(trial.still(system))
+                if measured:
+                    results[name].append(measured)
+                    stills[name].append(trial.still(system))
         table = tabulate(
-            {system.name: system.obstacle or results[system.name] for system in systems},
+            {name: absent.get(name) or results[name] for name in results},
             self._missing(networks),
             self.effort.seed,
         )

@@ -30,6 +30,7 @@ class Generate:
     def run(self) -> None:
         """Leave an edited Scene folder."""
         scene = self.clip.open()
+        self.choice.open().check(scene)  # what is wrong with its weights is said before anything is read
         source = {"clip": clip_key(self.clip), "conditions": fingerprint(self.conditions)}
         generate_stage(scene, self.conditions, source, self.out, self.choice, self.seed)
         say(f"next: dwgs distill {self.out} --insertion {self.conditions}/insertion --background bg/ -o asset/")

@@ -187,7 +187,9 @@ class _Studio:
         network = self._free.get()
         try:
             images = network.generate(clip, sampling, noise, lambda _: self._counter.add(1))
-        except torch.OutOfMemoryError:
+        except (RuntimeError, MemoryError) as error:
+            if not _is_out_of_memory(error):
+                raise
             raise InputError(
                 "the device ran out of memory, more than was planned; finished clips are kept: run it again with "
                 "--weights streamed, or with a smaller --size"
@@ -239,6 +241,11 @@ def _capacity(device: str) -> float:
     import psutil
 
     return float(psutil.virtual_memory().available)
+
+
+def _is_out_of_memory(error: Exception) -> bool:
+    """On a GPU it has a type of its own; on a CPU only the words tell."""
+    return isinstance(error, torch.OutOfMemoryError | MemoryError) or "can't allocate memory" in str(error)
 
 
 def _near(side: int) -> int:

@@ -67,6 +67,8 @@ class Backbone:
             raise InputError(
                 f"'{folder}' has neither {PROMPT_FILE} nor text_encoder/ to compute it; download the text encoder once"
             )
+        if (folder / PROMPT_FILE).is_file():
+            backbone.load_text()
         return backbone
 
     @cached_property

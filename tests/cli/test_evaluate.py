@@ -168,6 +168,15 @@ def test_a_system_without_its_weights_says_what_makes_them(weights, name, traine
     assert complaint in system.obstacle
 
 
+def test_a_system_that_fails_on_the_way_loses_no_other(out, weights):
+    given = ["--systems", "asset", "vace", "--backbone", str(weights / "backbone")]
+    odd = ["--frames", "0-4", "--size", "50x32", "--draft"]
+    main(["evaluate", "street:3", *odd, *given, "-o", str(out.parent / "odd")])
+    document = json.loads((out.parent / "odd" / "table.json").read_text())
+    assert "street-3: 'vace' takes images whose sides are multiples of 16" in document["absent"]["vace"]
+    assert document["systems"]["asset"]["kept"]["value"] == 100
+
+
 def refusal(capsys, *arguments):
     with pytest.raises(SystemExit) as exit:
         main(["evaluate", *arguments])

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from dwgs.scene import InputError, LidarSweep
 from generator import backend
@@ -89,6 +90,21 @@ def test_whole_frames_are_painted_and_the_masks_still_say_where_the_vehicle_is(s
     assert (pixels(edited) != pixels(given.scene)).any(-1).mean() > 0.9
     masks = [f.load_reactive_mask() for f in given.frames["front"]]
     assert np.array_equal([f.reactive_mask for f in edited.all_frames()], masks)
+
+
+def test_running_out_of_memory_is_one_sentence_and_keeps_what_is_finished(settings, conditions, tmp_path, monkeypatch):
+    generate, clips = network.Network.generate, []
+
+    def grows(self, clip, *arguments):
+        if clips:
+            torch.empty(2**60)
+        clips.append(clip)
+        return generate(self, clip, *arguments)
+
+    monkeypatch.setattr(network.Network, "generate", grows)
+    with pytest.raises(InputError, match="ran out of memory, more than was planned; finished clips are kept"):
+        WanGenerator(settings, tmp_path / "parts").generate(conditions(97), 3)
+    assert len(list((tmp_path / "parts").iterdir())) == 1
 
 
 def test_several_devices_make_the_same_pixels(settings, conditions):
@@ -180,7 +196,10 @@ def test_a_backbone_that_is_incomplete_is_refused_in_one_sentence(settings, tmp_
     refused("there are none in '.*transformer'; download the model")
     shutil.rmtree(folder)
     shutil.copytree(settings.backbone, folder)
-    (folder / "prompt.safetensors").unlink()
+    text = folder / "prompt.safetensors"
+    text.write_bytes(text.read_bytes()[:50])
+    refused("prompt.safetensors' is damaged .*; delete it")
+    text.unlink()
     refused("neither prompt.safetensors nor text_encoder/")
     with pytest.raises(InputError, match="there is no device 'tpu' here"):
         WanGenerator(replace(settings, devices=("tpu",)))
