@@ -45,9 +45,9 @@ def orbit(asset: VehicleAsset, on_progress: OnProgress) -> Iterator[np.ndarray]:
     cameras = orbit_cameras(asset, ORBIT_FRAMES, 720, 480)
     still = Trajectory(np.zeros(1), np.eye(4)[None])
     graph = SceneGraph(None, [(asset, still)], backdrop=BACKDROP)
-    renderer = Renderer(cameras[0].width, cameras[0].height)
-    for camera in counted(cameras, on_progress):
-        yield to_uint8(renderer.render(graph, camera).rgb)
+    with Renderer(cameras[0].width, cameras[0].height) as renderer:
+        for camera in counted(cameras, on_progress):
+            yield to_uint8(renderer.render(graph, camera).rgb)
 
 
 def counted(items: Sequence, on_progress: OnProgress) -> Iterator:

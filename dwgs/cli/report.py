@@ -74,15 +74,15 @@ def stills(recorded: Scene, edited: Scene, graph) -> list[str]:
     chosen = [frames[round(i)] for i in np.linspace(0, len(frames) - 1, STILLS + 2)[1:-1]]
     from viewer.renderer import Renderer
 
-    renderer = Renderer(chosen[0][0].camera.width, chosen[0][0].camera.height)
-    return [
-        '<div class="three">'
-        + picture(before.pixels, f"recorded, frame {before.index}")
-        + picture(after.pixels, "edited")
-        + picture(rendered(renderer, graph, graph.background, after), "background and asset, rendered")
-        + "</div>"
-        for before, after in chosen
-    ]
+    with Renderer(chosen[0][0].camera.width, chosen[0][0].camera.height) as renderer:
+        return [
+            '<div class="three">'
+            + picture(before.pixels, f"recorded, frame {before.index}")
+            + picture(after.pixels, "edited")
+            + picture(rendered(renderer, graph, graph.background, after), "background and asset, rendered")
+            + "</div>"
+            for before, after in chosen
+        ]
 
 
 def picture(pixels: np.ndarray, caption: str) -> str:

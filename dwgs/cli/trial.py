@@ -165,13 +165,13 @@ class Trial:
         traffic, made_by = self._traffic()
         graph = SceneGraph(background, [*map(read_driven, traffic), read_driven(folder / "asset")])
         camera = recorded.all_frames()[0].camera
-        renderer = Renderer(camera.width, camera.height)
-        frames = {
-            name: tuple(replace(f, load_pixels=partial(rendered, renderer, graph, background, f)) for f in frames)
-            for name, frames in recorded.frames.items()
-        }
-        inputs = {"asset": key, "traffic": made_by}
-        record = keep_stage(replace(recorded, frames=frames), "render", inputs, folder / "edited")
+        with Renderer(camera.width, camera.height) as renderer:
+            frames = {
+                name: tuple(replace(f, load_pixels=partial(rendered, renderer, graph, background, f)) for f in frames)
+                for name, frames in recorded.frames.items()
+            }
+            inputs = {"asset": key, "traffic": made_by}
+            record = keep_stage(replace(recorded, frames=frames), "render", inputs, folder / "edited")
         return scene_folder.read(folder / "edited"), record.key
 
     def _traffic(self) -> tuple[list[Path], str]:
