@@ -49,6 +49,8 @@ instead of an adapter, points are pixels instead of discs, and clips follow each
 """
 SYSTEMS = tuple(name + suffix for name in (TRUTH, *RECIPES) for suffix in ("", DISTILLED))
 """Every row there can be."""
+TAUGHT = tuple(name for name, recipe in RECIPES.items() if recipe.choice["backend"] == "wan")
+"""Systems that take weights of `dwgs train`; what is distilled from their videos takes none of its own."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +76,12 @@ class System:
             trained: Folders of `dwgs train` by the name of the system whose weights they hold.
 
         Raises:
-            InputError: There is none of that name.
+            InputError: There is none of that name, or one of ``trained`` takes no such weights.
         """
-        for said in (name, *trained):
-            if said not in SYSTEMS:
-                raise InputError(f"no system is called '{said}'; there are {', '.join(SYSTEMS)}")
+        if name not in SYSTEMS:
+            raise InputError(f"no system is called '{name}'; there are {', '.join(SYSTEMS)}")
+        if strange := [key for key in trained if key not in TAUGHT]:
+            raise InputError(f"--trained is for {', '.join(TAUGHT)}, not for '{strange[0]}'")
         source = name.removesuffix(DISTILLED)
         if source == TRUTH:
             return System(name)

@@ -197,6 +197,14 @@ def test_an_unknown_system_names_those_there_are(capsys, tmp_path):
     assert "composite-D" in said
 
 
+@pytest.mark.parametrize("name", ["magic", "wan-D", "composite"])
+def test_weights_for_a_system_that_takes_none_are_refused(capsys, tmp_path, name):
+    said = refusal(capsys, "street:3", *TOY, "--trained", name, str(tmp_path), "-o", str(tmp_path / "out"))
+    assert (
+        f"--trained is for streetcrafter, wan, wan-finetuned, wan-pixels, wan-autoregressive, not for '{name}'" in said
+    )
+
+
 def test_a_drive_without_a_vehicle_is_refused_with_an_example(capsys, tmp_path):
     assert '"vehicle": "car.glb"' in refusal(capsys, str(tmp_path), "-o", str(tmp_path / "out"))
 
