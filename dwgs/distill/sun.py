@@ -28,6 +28,10 @@ AZIMUTHS, SLOPES = 24, 8
 """Directions that are tried first."""
 LOWEST = 0.15
 """Way [m] that a shadow reaches per metre of height, below which it hides under the vehicle."""
+CONTACT = 0.3
+"""So far around the box [m] the ground is dark under any sky."""
+LEAST_SHADE = 20
+"""Patches of ground that a shadow must have where the frames see them."""
 LIKENESS = 0.5
 """Correlation of what is dark with what should be, below which no sun is believed in."""
 NEIGHBOURS = 16
@@ -50,7 +54,8 @@ def find_casting(shots: Sequence[Shot], insertion: Insertion, shadow: Gaussians,
     places, shape = _ground(insertion.size, margin)
     darkness = _darkness(alike[:: -(-len(alike) // ENOUGH)], places, insertion)
     points = _above_ground(insertion)[:: len(insertion.vehicle.points) // POINTS + 1]
-    seen = np.isfinite(darkness)
+    clear = (np.abs(places[:, :2]) > insertion.size[:2] / 2 + CONTACT).any(1)
+    seen = np.isfinite(darkness) & clear
     if not seen.any() or np.ptp(darkness[seen]) == 0:
         return None
     centred = darkness[seen] - darkness[seen].mean()
@@ -59,8 +64,10 @@ def find_casting(shots: Sequence[Shot], insertion: Insertion, shadow: Gaussians,
     def likeness(slope: NDArray) -> float:
         """The correlation of what is dark with what would be."""
         cast = _cast(points, slope, shape)[seen]
+        if not LEAST_SHADE <= cast.sum() < len(cast):
+            return 0.0
         share = cast.mean()
-        return float(centred[cast].sum() / np.sqrt(len(cast) * share * (1 - share))) if 0 < share < 1 else 0.0
+        return float(centred[cast].sum() / np.sqrt(len(cast) * share * (1 - share)))
 
     most = margin / insertion.size[2]
     slope, best = _search(likeness, most)

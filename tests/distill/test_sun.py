@@ -109,6 +109,15 @@ def test_under_an_overcast_sky_there_is_no_sun(insertion, shadow):
     assert find_casting([shot_of(pose(np.eye(3), [0, 0, 0.75]), None)], insertion, shadow, MARGIN) is None
 
 
+def test_what_is_dark_around_the_tyres_is_no_shadow_of_the_sun(insertion, shadow):
+    stand = pose(np.eye(3), [0, 0, 0.75])
+    shot = shot_of(stand, None)
+    places = transform_points(inverse(stand), ground_points(camera()).reshape(-1, 3))
+    dim = (np.abs(places[:, :2]) < SIZE[:2] / 2 + 0.25).all(1).reshape(HEIGHT, WIDTH)
+    shot.target[torch.from_numpy(dim)] = 0.2
+    assert find_casting([shot], insertion, shadow, MARGIN) is None
+
+
 def test_without_a_shadow_there_is_no_sun(insertion):
     shots = [shot_of(pose(np.eye(3), [0, 0, 0.75]), sun_at(0.5, 1.0))]
     assert find_casting(shots, insertion, Gaussians.empty(), MARGIN) is None
