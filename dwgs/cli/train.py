@@ -1,5 +1,6 @@
 """dwgs train: a PointAdapter, from recorded drives."""
 
+import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -48,6 +49,9 @@ class Train:
     """First and last frame of every drive, as in 0-192; by default all."""
     size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
     """Width x height [px] of every clip; by default 720x480."""
+    shard: bool = False
+    """Share the network out among the processes (FSDP2) instead of giving each all of it: for GPUs of 80 GB and
+    less."""
     seed: int = 0
     """Of everything random."""
 
@@ -61,6 +65,8 @@ class Train:
 
         if not self.scenes:
             raise InputError("training takes at least one drive; name a folder, or street")
+        if os.environ.get("ACCELERATE_USE_FSDP", "false").lower() == "true":
+            raise InputError("FSDP is switched on by dwgs train --shard, not by the launcher; launch without --use_fsdp")
         clips, config = self.configs()
         process = PartialState(cpu=not torch.cuda.is_available())
         with process.main_process_first():
@@ -123,7 +129,7 @@ class Train:
         from generator.training.log import Log
         from generator.training.loop import Stepped, Trainer, Validated
 
-        trainer = Trainer(cache, backbone, config, self.out)
+        trainer = Trainer(cache, backbone, config, self.out, self.shard)
         if is_main:
             say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} are held out")
         if is_main and trainer.step:
@@ -137,6 +143,6 @@ class Train:
                     progress.count(event.step, event.steps)
                 elif isinstance(event, Validated):
                     progress.tell(f"held-out loss {event.loss:.4f}")
+        steered, adapter = trainer.export(self.out)
         if is_main:
-            steered, adapter = trainer.export(self.out)
             say(f"next: dwgs insert SCENE ... --backend wan --backbone {steered} --adapter {adapter}")

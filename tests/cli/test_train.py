@@ -54,18 +54,48 @@ def test_more_steps_go_on_from_the_last_checkpoint(out, drive, capsys):
     assert [path.name for path in sorted((out / "checkpoints").iterdir())] == ["00000003", "00000005"]
 
 
-def test_two_processes_learn_what_one_does(drive, tmp_path):
-    command = ["-m", "dwgs", "train", str(drive), *TOY, "--steps", "3"]
-    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc_per_node", "2"]
-    for run, before in (("one", []), ("two", launch)):
-        whole = [sys.executable, *before, *command, "-o", str(tmp_path / run)]
+@pytest.fixture(scope="module")
+def launch(drive, tmp_path_factory):
+    """Trains into a folder of that name with so many processes, as a person launches them."""
+    root = tmp_path_factory.mktemp("launched")
+
+    def run(name, processes, *options, steps=3):
+        launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc_per_node", str(processes)]
+        command = ["-m", "dwgs", "train", str(drive), *TOY, "--steps", str(steps), *options, "-o", str(root / name)]
+        whole = [sys.executable, *(launcher if processes > 1 else []), *command]
         subprocess.run(whole, check=True, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
-    logs = [(tmp_path / run / "log.jsonl").read_text().splitlines() for run in ("one", "two")]
-    losses = [[json.loads(line)["loss"] for line in log] for log in logs]
-    assert len(losses[0]) == 3
-    assert losses[0] == pytest.approx(losses[1], rel=1e-5)
-    ours, theirs = (load_file(tmp_path / run / "adapter" / WEIGHTS) for run in ("one", "two"))
-    assert all(torch.allclose(ours[name], theirs[name], atol=1e-5) for name in ours | theirs)
+        return root / name
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def alone(launch):
+    """Three steps by one process."""
+    return launch("one", 1)
+
+
+def losses(folder):
+    events = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    return [event["loss"] for event in events]
+
+
+def assert_alike(folder, other, atol=1e-5):
+    ours, theirs = (load_file(each / "adapter" / WEIGHTS) for each in (folder, other))
+    assert all(torch.allclose(ours[name], theirs[name], atol=atol) for name in ours | theirs)
+
+
+def test_two_processes_learn_what_one_does(launch, alone):
+    two = launch("two", 2)
+    assert len(losses(alone)) == 3
+    assert losses(two) == pytest.approx(losses(alone), rel=1e-5)
+    assert_alike(two, alone)
+
+
+def test_two_processes_that_share_the_network_out_learn_what_one_does(launch, alone):
+    shared = launch("shared", 2, "--shard")
+    assert losses(shared) == pytest.approx(losses(alone), rel=1e-5)
+    assert_alike(shared, alone)
 
 
 @pytest.mark.parametrize(
