@@ -16,6 +16,7 @@ from dwgs.scene import InputError
 if TYPE_CHECKING:
     from generator.training.cache import Cache
     from generator.training.config import ClipConfig, TrainingConfig
+    from generator.wan.encode import Codec
     from generator.wan.weights import Backbone
 
 
@@ -66,7 +67,9 @@ class Train:
         if not self.scenes:
             raise InputError("training takes at least one drive; name a folder, or street")
         if os.environ.get("ACCELERATE_USE_FSDP", "false").lower() == "true":
-            raise InputError("FSDP is switched on by dwgs train --shard, not by the launcher; launch without --use_fsdp")
+            raise InputError(
+                "FSDP is switched on by dwgs train --shard, not by the launcher; launch without --use_fsdp"
+            )
         clips, config = self.configs()
         process = PartialState(cpu=not torch.cuda.is_available())
         with process.main_process_first():
@@ -107,15 +110,11 @@ class Train:
         drives = [Clip(scene, frames=self.frames, size=self.size) for scene in self.scenes]
 
         def make(draft: Path, progress: Bar) -> dict:
-            import torch
-
             from generator.training.cache import write_cache
             from generator.training.clips import clips_of
 
-            device = "cuda" if torch.cuda.is_available() else "cpu"
-            codec = backbone.load_codec(device, torch.bfloat16 if device == "cuda" else torch.float32)
             clips = (clip for drive in drives for clip in clips_of(drive.open(), config))
-            write_cache(clips, codec, config, draft, lambda done: progress.count(done, None))
+            write_cache(clips, _codec(backbone), config, draft, lambda done: progress.count(done, None))
             return {}
 
         inputs = {
@@ -126,12 +125,14 @@ class Train:
         run_stage(self.out / "latents", "encode", inputs, make)
 
     def _train(self, backbone: "Backbone", cache: "Cache", config: "TrainingConfig", is_main: bool) -> None:
-        from generator.training.log import Log
+        from generator.training.log import FILMS, Log
         from generator.training.loop import Stepped, Trainer, Validated
+        from generator.training.preview import preview
 
         trainer = Trainer(cache, backbone, config, self.out, self.shard)
         if is_main:
-            say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} are held out")
+            shown = f", some are shown in '{self.out / FILMS}'" if trainer.held_out else ""
+            say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} are held out{shown}")
         if is_main and trainer.step:
             say(f"going on after step {trainer.step}")
         log = Log(self.out, trainer.step) if is_main else None
@@ -143,6 +144,19 @@ class Train:
                     progress.count(event.step, event.steps)
                 elif isinstance(event, Validated):
                     progress.tell(f"held-out loss {event.loss:.4f}")
+                    clips = preview(trainer)
+                    if log is not None:
+                        codec = _codec(backbone)
+                        log.show(event.step, [clip.film(codec) for clip in clips])
         steered, adapter = trainer.export(self.out)
         if is_main:
             say(f"next: dwgs insert SCENE ... --backend wan --backbone {steered} --adapter {adapter}")
+
+
+def _codec(backbone: "Backbone") -> "Codec":
+    """On the first GPU, or in host memory where there is none."""
+    import torch
+
+    if torch.cuda.is_available():
+        return backbone.load_codec("cuda", torch.bfloat16)
+    return backbone.load_codec()

@@ -166,10 +166,14 @@ class Trainer:
         samples = [self.cache[number] for number in numbers]
         draws = [Draw.of(sample, config, key) for sample, key in zip(samples, keys, strict=True)]
         batch = Batch.of(samples, draws, self.grey, config.mask_time)
-        device = self.accelerator.device.type
-        bf16 = torch.autocast(device, torch.bfloat16, enabled=config.precision == "bf16", cache_enabled=False)
-        with bf16:  # a cache would keep a second copy of every weight, though each is used once
+        with self.arithmetic():
             return loss_of(self.network, batch, self.text)
+
+    def arithmetic(self) -> torch.autocast:
+        """A block in which the network reckons as it is trained to."""
+        device, is_bf16 = self.accelerator.device.type, self.config.precision == "bf16"
+        # without autocast's cache: it keeps a second copy of every weight, though each is used once
+        return torch.autocast(device, torch.bfloat16, enabled=is_bf16, cache_enabled=False)
 
     def export(self, folder: Path) -> tuple[Path, Path]:
         """Write the averaged ``adapter/`` and, where it learnt, too, the backbone; gives the folders of both.

@@ -24,7 +24,6 @@ def share_out(transformer: WanVACETransformer3DModel, device: torch.device, proc
     # the root, too, gives back what it borrowed: it would keep averaged weights after a look at the held-out clips
     for module in (*transformer.vace_blocks, *transformer.blocks, transformer):
         fully_shard(module, mesh=mesh, reshard_after_forward=True)
-    transformer.to(device)  # buffers
 
 
 def whole(tensor: Tensor) -> Tensor:

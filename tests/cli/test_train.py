@@ -20,13 +20,14 @@ TOY = ["--preset", "tiny", "--size", "48x32", "--batch", "2"]
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    """A short recorded street with only two of its vehicles, which is enough."""
+    """A short recorded street with only eight of its vehicles: seven teach, one is held out."""
     from dataclasses import replace
 
     from dwgs.street import build_street
 
     scene = build_street(frames=13, width=48, height=32).scene()
-    kept = tuple(track for track in scene.tracks if track.id in ("moving-00", "parked-04"))
+    seen = ("moving-00", "moving-01", *(f"parked-{i:02d}" for i in range(4, 10)))
+    kept = tuple(track for track in scene.tracks if track.id in seen)
     folder = tmp_path_factory.mktemp("drive") / "street"
     scene_folder.write(replace(scene, tracks=kept), folder)
     return folder
@@ -44,6 +45,7 @@ def test_training_leaves_an_adapter_that_generates(out):
     assert generator.name == "wan"
     events = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
     assert [e["step"] for e in events if e["event"] == "stepped"] == [1, 2, 3]
+    assert [path.name for path in (out / "validation").iterdir()] == ["00000003.mp4"]
 
 
 def test_more_steps_go_on_from_the_last_checkpoint(out, drive, capsys):
@@ -77,7 +79,7 @@ def alone(launch):
 
 def losses(folder):
     events = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
-    return [event["loss"] for event in events]
+    return [event["loss"] for event in events if event["event"] == "stepped"]
 
 
 def assert_alike(folder, other, atol=1e-5):
