@@ -20,6 +20,7 @@ from generator.long_video import CLIP, Pass, plan, seen
 from generator.wan.adapter import adapter_config, fingerprint_of, load_adapter, parameters_of, require_adapter
 from generator.wan.clip import Clip
 from generator.wan.folder import tensor_of
+from generator.wan.lora import fuse, require_lora
 from generator.wan.memory import GB, Footprint, MemoryPlan, Weights, plan_memory, table
 from generator.wan.network import Network, place
 from generator.wan.settings import WanSettings
@@ -51,6 +52,7 @@ class WanGenerator:
         self.devices = settings.devices or ("cuda" if torch.cuda.is_available() else "cpu",)
         for device in self.devices:
             _require_device(device)
+        self._changed = [require_lora(lora, self.backbone.skeleton) for lora in settings.loras]
 
     @property
     def name(self) -> str:
@@ -75,6 +77,10 @@ class WanGenerator:
         footprint, memory = self._memory(scene)
         notes = [f"{self.name}: {footprint.weights / GB:.1f} GB of weights, clips of {CLIP} frames; what fits where:"]
         notes += [*table(footprint), f"on {', '.join(self.devices)}: {memory}"]
+        for lora, changed in zip(self.settings.loras, self._changed, strict=True):
+            notes.append(f"'{lora.path.name}' at strength {lora.strength:g} changes {changed} tensors of the backbone")
+        sampling = self.settings.sampling
+        notes.append(f"{sampling.steps} steps are {sampling.evaluations} runs of the network for each clip")
         return notes
 
     def generate(
@@ -107,6 +113,8 @@ class WanGenerator:
             adapter = load_adapter(settings.adapter, transformer, dtype)
             adapter.attach(transformer)
             mask_time = adapter.mask_time
+        for lora in settings.loras:  # after the adapter, which knows the backbone by its weights
+            fuse(lora, transformer)
         transformer.requires_grad_(False)
         place(transformer, device, memory, settings.attention)
         codec = self.backbone.load_codec(device, dtype)
