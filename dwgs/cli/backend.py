@@ -46,6 +46,8 @@ class BackendChoice:
     fits and changes no picture."""
     attention: str | None = None
     """One of diffusers' attention backends, such as flash; by default PyTorch's."""
+    tiles: bool = False
+    """Let the autoencoder work in tiles: less memory where images are large or the backbone is small."""
     lora: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE[:STRENGTH]...")] = ()
     """Safetensors files that change the backbone, such as those that let Wan2.1 work in 4 to 8 steps; these want
     --guidance 1 and --shift 5."""
@@ -65,7 +67,7 @@ class BackendChoice:
         settings = WanSettings(
             self.backbone, self.adapter, self.strategy, sampling, self.device, self.weights, self.attention
         )
-        settings = replace(settings, loras=tuple(map(Lora.of, self.lora)))
+        settings = replace(settings, loras=tuple(map(Lora.of, self.lora)), tiled=self.tiles)
         return backend(self.backend, settings, parts)
 
     def key(self) -> dict[str, Any]:

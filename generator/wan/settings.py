@@ -100,3 +100,5 @@ class WanSettings:
     """One of diffusers' attention backends; by default PyTorch's."""
     loras: tuple[Lora, ...] = ()
     """Added to the backbone's weights while it is loaded."""
+    tiled: bool = False
+    """Whether the autoencoder works in tiles: in less memory, with blended seams."""

@@ -21,8 +21,8 @@ from generator.wan.adapter import adapter_config, fingerprint_of, load_adapter, 
 from generator.wan.clip import Clip
 from generator.wan.folder import tensor_of
 from generator.wan.lora import fuse, require_lora
-from generator.wan.memory import GB, Footprint, MemoryPlan, Weights, plan_memory, table
-from generator.wan.network import Network, place
+from generator.wan.memory import GB, TILE, Footprint, MemoryPlan, Weights, plan_memory, table
+from generator.wan.network import Network, place, require_attention
 from generator.wan.settings import WanSettings
 from generator.wan.weights import Backbone
 
@@ -52,6 +52,8 @@ class WanGenerator:
         self.devices = settings.devices or ("cuda" if torch.cuda.is_available() else "cpu",)
         for device in self.devices:
             _require_device(device)
+            if settings.attention is not None:
+                require_attention(settings.attention, device)
         self._changed = [require_lora(lora, self.backbone.skeleton) for lora in settings.loras]
 
     @property
@@ -67,13 +69,14 @@ class WanGenerator:
 
     def check(self, scene: Scene) -> list[str]:
         """How its weights will fit; see `generator.generator.Generator.check`."""
-        for frames in scene.frames.values():
-            width, height = frames[0].camera.width, frames[0].camera.height
+        for height, width in _sizes(scene):
             if width % SIZE_MULTIPLE or height % SIZE_MULTIPLE:
                 raise InputError(
                     f"'{self.name}' takes images whose sides are multiples of {SIZE_MULTIPLE}, these are "
                     f"{width}x{height}; choose a --size such as {_near(width)}x{_near(height)}"
                 )
+        if self.settings.tiled and max(map(max, _sizes(scene))) <= TILE:
+            raise InputError(f"no image here has a side of more than a tile's {TILE} px; leave --tiles out")
         footprint, memory = self._memory(scene)
         notes = [f"{self.name}: {footprint.weights / GB:.1f} GB of weights, clips of {CLIP} frames; what fits where:"]
         notes += [*table(footprint), f"on {', '.join(self.devices)}: {memory}"]
@@ -118,6 +121,8 @@ class WanGenerator:
         transformer.requires_grad_(False)
         place(transformer, device, memory, settings.attention)
         codec = self.backbone.load_codec(device, dtype)
+        if settings.tiled:
+            codec.work_in_tiles()
         return Network(transformer, codec, self.backbone.load_text(), mask_time, settings.adapter is not None)
 
     def _memory(self, scene: Scene) -> tuple[Footprint, MemoryPlan]:
@@ -125,8 +130,7 @@ class WanGenerator:
         whole, own = self.backbone.parameters
         adapter = self.settings.adapter
         branch = own if adapter is None else parameters_of(adapter_config(adapter), adapter)
-        sizes = [(frames[0].camera.height, frames[0].camera.width) for frames in scene.frames.values()]
-        height, width = max(sizes, key=lambda size: size[0] * size[1])
+        height, width = max(_sizes(scene), key=lambda size: size[0] * size[1])
         longest = max(
             len(a_pass.frames)
             for frames in scene.frames.values()
@@ -135,7 +139,12 @@ class WanGenerator:
         )
         on_cpu = "cpu" in self.devices
         footprint = Footprint.of(
-            self.backbone.config, whole - own, branch, (longest, height, width), 4 if on_cpu else 2
+            self.backbone.config,
+            whole - own,
+            branch,
+            (longest, height, width),
+            4 if on_cpu else 2,
+            self.settings.tiled,
         )
         choices: tuple[Weights, ...] = ("resident",) if on_cpu else ("resident", "streamed")
         if self.settings.weights is not None:
@@ -240,6 +249,11 @@ def _capacity(device: str) -> float:
     import psutil
 
     return float(psutil.virtual_memory().available)
+
+
+def _sizes(scene: Scene) -> list[tuple[int, int]]:
+    """(height, width) of each camera's images."""
+    return [(frames[0].camera.height, frames[0].camera.width) for frames in scene.frames.values()]
 
 
 def _near(side: int) -> int:
