@@ -79,6 +79,8 @@ class Train:
             if process.is_main_process:
                 self._encode(backbone, clips)
         cache = Cache(self.out / "latents")
+        if process.is_main_process:
+            self._say_memory(backbone, cache, config, process.num_processes)
         self._train(backbone, cache, config, process.is_main_process)
 
     def configs(self) -> "tuple[ClipConfig, TrainingConfig]":
@@ -123,6 +125,15 @@ class Train:
             "codec": fingerprint(backbone.folder / "vae"),
         }
         run_stage(self.out / "latents", "encode", inputs, make)
+
+    def _say_memory(self, backbone: "Backbone", cache: "Cache", config: "TrainingConfig", processes: int) -> None:
+        from generator.training.memory import TrainingFootprint
+
+        whole, branch = backbone.parameters
+        footprint = TrainingFootprint.of(
+            backbone.config, (whole - branch, branch), cache.shape, config, processes, self.shard
+        )
+        say(f"each of {processes} processes takes about {footprint}" if processes > 1 else f"takes about {footprint}")
 
     def _train(self, backbone: "Backbone", cache: "Cache", config: "TrainingConfig", is_main: bool) -> None:
         from generator.training.log import FILMS, Log

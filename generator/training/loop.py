@@ -3,13 +3,13 @@
 import json
 import shutil
 from collections.abc import Generator, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from accelerate import Accelerator
+from accelerate import Accelerator, DistributedDataParallelKwargs
 from diffusers import WanVACETransformer3DModel
 from diffusers.training_utils import EMAModel
 from safetensors.torch import save_file
@@ -78,7 +78,8 @@ class Trainer:
         self, cache: Cache, backbone: Backbone, config: TrainingConfig, folder: Path, sharded: bool = False
     ) -> None:
         self.cache, self.backbone, self.config, self.folder = cache, backbone, config, Path(folder)
-        self.accelerator = Accelerator(cpu=not torch.cuda.is_available())
+        views = DistributedDataParallelKwargs(gradient_as_bucket_view=True)  # else there are two of each gradient
+        self.accelerator = Accelerator(cpu=not torch.cuda.is_available(), kwargs_handlers=[views])
         processes = self.accelerator.num_processes
         if config.batch % processes:
             raise InputError(f"a batch divides among the processes, {config.batch} clips among {processes} do not")
@@ -153,12 +154,19 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         self.optimizer.zero_grad(set_to_none=True)
-        keys = [(self.step, place) for place, _ in chosen]
-        loss = self._loss([number for _, number in chosen], keys, self.config)
-        self.accelerator.backward(loss)
+        starts = range(0, len(chosen), self.config.at_once)
+        losses = []
+        for start in starts:
+            some = chosen[start : start + self.config.at_once]
+            keys = [(self.step, place) for place, _ in some]
+            between = self.accelerator.no_sync(self.network) if start != starts[-1] else nullcontext()
+            with between:  # processes add up their gradients once
+                loss = self._loss([number for _, number in some], keys, self.config) * (len(some) / len(chosen))
+                self.accelerator.backward(loss)
+            losses.append(loss.detach())
         self.optimizer.step()
         self.average.step(self.parameters.values())
-        mean = self.accelerator.reduce(loss.detach(), "mean")
+        mean = self.accelerator.reduce(torch.stack(losses).sum(), "mean")
         assert isinstance(mean, torch.Tensor)
         return float(mean)
 

@@ -81,6 +81,12 @@ def test_each_process_holds_half_of_every_tensor(shared):
     assert all(part < n for name, (part, n) in held.items() if not name.endswith("scale_shift_table"))
 
 
+def test_processes_with_a_copy_each_learn_the_same(shared, alone):
+    trainer, events = alone(CONFIG)
+    assert told(shared / "copied")["losses"] == pytest.approx(losses(events, Stepped), rel=1e-5)
+    assert_alike(shared / "copied", trainer.folder, atol=2e-5)
+
+
 def test_two_halves_are_the_whole_bit_by_bit(shared):
     ours, theirs = ((shared / name / STATE).read_bytes() for name in ("straight", "halved"))
     assert ours == theirs

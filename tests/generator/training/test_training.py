@@ -17,7 +17,7 @@ from generator.wan.clip import Clip
 from generator.wan.encode import ControlLatents
 from generator.wan.weights import Backbone
 
-CONFIG = TrainingConfig(steps=6, batch=2, rate=1e-3, warmup=2, ema=0.5, precision="no", checkpoint_every=3)
+CONFIG = TrainingConfig(steps=6, batch=2, at_once=2, rate=1e-3, warmup=2, ema=0.5, precision="no", checkpoint_every=3)
 
 
 @pytest.fixture
@@ -146,6 +146,15 @@ def test_everything_can_learn_and_is_exported_with_its_backbone(train, tmp_path)
     load_adapter(folder, opened.load_transformer())
     with pytest.raises(InputError, match="of the same shape, has"):
         load_adapter(folder, trainer.backbone.load_transformer())
+
+
+def test_clips_of_a_step_may_go_one_after_another(train):
+    together, one_by_one = (train(f"by-{n}", steps=3, batch=3, at_once=n) for n in (3, 2))
+    for ours, theirs in zip(together[1], one_by_one[1], strict=True):
+        if isinstance(ours, Stepped):
+            assert ours.loss == pytest.approx(theirs.loss, rel=1e-5)
+    for ours, theirs in zip(together[0].parameters.values(), one_by_one[0].parameters.values(), strict=True):
+        torch.testing.assert_close(ours, theirs, atol=2e-5, rtol=1e-4)
 
 
 def test_every_clip_is_seen_once_in_each_epoch(train):
