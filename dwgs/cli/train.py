@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import asdict, dataclass, replace
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from generator.training.config import ClipConfig, TrainingConfig
     from generator.wan.encode import Codec
     from generator.wan.weights import Backbone
+
+ENCODING = timedelta(days=7)
+"""So long the other processes wait for the one that encodes clips."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,7 @@ class Train:
         from accelerate import PartialState
 
         from generator.training.cache import Cache
+        from generator.training.loop import require_processes
         from generator.wan.weights import Backbone
 
         if not self.scenes:
@@ -71,7 +76,8 @@ class Train:
                 "FSDP is switched on by dwgs train --shard, not by the launcher; launch without --use_fsdp"
             )
         clips, config = self.configs()
-        process = PartialState(cpu=not torch.cuda.is_available())
+        process = PartialState(cpu=not torch.cuda.is_available(), timeout=ENCODING)
+        require_processes(process.num_processes, config, self.shard)
         with process.main_process_first():
             if process.is_main_process:
                 self._make_toy()

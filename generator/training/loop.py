@@ -81,13 +81,7 @@ class Trainer:
         views = DistributedDataParallelKwargs(gradient_as_bucket_view=True)  # else there are two of each gradient
         self.accelerator = Accelerator(cpu=not torch.cuda.is_available(), kwargs_handlers=[views])
         processes = self.accelerator.num_processes
-        if config.batch % processes:
-            raise InputError(f"a batch divides among the processes, {config.batch} clips among {processes} do not")
-        if sharded and processes == 1:
-            raise InputError(
-                "a network is shared out among several processes, there is one; launch with torchrun "
-                "--nproc_per_node 8, or leave --shard out"
-            )
+        require_processes(processes, config, sharded)
         self.teaching, self.held_out = cache.split()
         dtype = torch.bfloat16 if config.precision == "bf16" else torch.float32
         transformer = backbone.load_transformer(dtype)
@@ -270,6 +264,19 @@ class Trainer:
             checkpoint.prune(path.parent, self.config.keep)
         self.accelerator.wait_for_everyone()
         return path
+
+
+def require_processes(processes: int, config: TrainingConfig, sharded: bool) -> None:
+    """Raise `InputError` unless so many processes can train so."""
+    if config.batch % processes:
+        raise InputError(
+            f"a batch divides among the processes, {config.batch} clips among {processes} do not; choose another --batch"
+        )
+    if sharded and processes == 1:
+        raise InputError(
+            "a network is shared out among several processes, there is one; launch with torchrun --nproc_per_node 8, "
+            "or leave --shard out"
+        )
 
 
 def _identity(config: TrainingConfig, cache: Cache) -> dict:

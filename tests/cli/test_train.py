@@ -105,6 +105,7 @@ def test_two_processes_that_share_the_network_out_learn_what_one_does(launch, al
     [
         (["nowhere", *TOY], "nowhere"),
         (["street", "--preset", "paper"], "give --backbone DIR"),
+        (["street", *TOY, "--shard"], "shared out among several processes, there is one"),
         (["street", "--backbone", "no-such-folder"], "there is no 'no-such-folder/transformer/config.json'"),
     ],
 )
@@ -113,3 +114,10 @@ def test_what_cannot_be_trained_is_said_in_one_sentence(arguments, said, tmp_pat
         main(["train", *arguments, "-o", str(tmp_path / "out")])
     assert exit.value.code == 2
     assert said in capsys.readouterr().err
+
+
+def test_the_launchers_own_sharding_is_refused(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("ACCELERATE_USE_FSDP", "true")
+    with pytest.raises(SystemExit):
+        main(["train", "street", *TOY, "-o", str(tmp_path / "out")])
+    assert "launch without --use_fsdp, and add --shard" in capsys.readouterr().err
