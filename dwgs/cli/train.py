@@ -72,9 +72,7 @@ class Train:
         if not self.scenes:
             raise InputError("training takes at least one drive; name a folder, or street")
         if os.environ.get("ACCELERATE_USE_FSDP", "false").lower() == "true":
-            raise InputError(
-                "FSDP is switched on by dwgs train --shard, not by the launcher; launch without --use_fsdp"
-            )
+            raise InputError("sharing a network out is asked of dwgs train; launch without --use_fsdp, and add --shard")
         clips, config = self.configs()
         process = PartialState(cpu=not torch.cuda.is_available(), timeout=ENCODING)
         require_processes(process.num_processes, config, self.shard)

@@ -270,7 +270,7 @@ def require_processes(processes: int, config: TrainingConfig, sharded: bool) -> 
     """Raise `InputError` unless so many processes can train so."""
     if config.batch % processes:
         raise InputError(
-            f"a batch divides among the processes, {config.batch} clips among {processes} do not; choose another --batch"
+            f"a batch divides among the processes, {config.batch} clips among {processes} do not; choose a --batch"
         )
     if sharded and processes == 1:
         raise InputError(

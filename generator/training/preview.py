@@ -7,14 +7,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from generator.training.cache import Sample
+from generator.training.cache import Cache, Sample, vehicle_of
 from generator.training.loop import Trainer
 from generator.wan.denoise import Side, denoise
 from generator.wan.encode import Codec
 from generator.wan.settings import Sampling
 
 CLIPS = 2
-"""So many are painted, spread over those that are held out."""
+"""So many are painted: those that show a vehicle largest, each another one."""
+CANDIDATES = 32
+"""They are chosen from so many, spread over those that are held out."""
 SAMPLING = Sampling(steps=10)
 """As in generating, in a third of the steps: it is done again and again."""
 
@@ -41,10 +43,16 @@ def preview(trainer: Trainer) -> list[Preview]:
 
     All processes of a training must call.
     """
-    held_out = trainer.held_out
-    chosen = held_out[:: max(1, len(held_out) // CLIPS)][:CLIPS]
     with trainer.averaged(), trainer.arithmetic():
-        return [_painted(trainer, number) for number in chosen]
+        return [_painted(trainer, number) for number in _chosen(trainer.cache, trainer.held_out)]
+
+
+def _chosen(cache: Cache, held_out: list[int]) -> list[int]:
+    spread = held_out[:: -(-len(held_out) // CANDIDATES) or 1]
+    largest: dict[str, int] = {}
+    for number in sorted(spread, key=lambda number: -np.count_nonzero(cache[number].reactive_mask)):
+        largest.setdefault(vehicle_of(cache.names[number]), number)
+    return list(largest.values())[:CLIPS]
 
 
 def _painted(trainer: Trainer, number: int) -> Preview:
