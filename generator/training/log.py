@@ -45,8 +45,8 @@ class Log:
         with self._path.open("a") as log:
             log.write(json.dumps({"event": kind, **values}) + "\n")
         if self._curves is not None:
-            for key, value in values.items():
-                self._curves.add_scalar(f"{kind}/{key}", value, event.step)
+            for key in values.keys() - {"step"}:
+                self._curves.add_scalar(f"{kind}/{key}", values[key], event.step)
 
     def show(self, step: int, clips: Sequence[NDArray[np.uint8]]) -> None:
         """Write clips [T, H, W, 3], one below the other, as ``validation/00000500.mp4``."""

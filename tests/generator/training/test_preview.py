@@ -1,4 +1,7 @@
+import sys
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import numpy as np
@@ -7,7 +10,7 @@ import torch
 
 from generator.training.config import TrainingConfig
 from generator.training.log import Log
-from generator.training.loop import Trainer
+from generator.training.loop import Trainer, Validated
 from generator.training.preview import preview
 from generator.wan.weights import Backbone
 
@@ -71,6 +74,27 @@ def test_clips_are_filmed_one_below_the_other(tmp_path):
     assert np.shape(frames) == (5, 64, 144, 3)
     assert np.mean(frames[2][:32]) == pytest.approx(40, abs=4)
     assert np.mean(frames[2][32:]) == pytest.approx(200, abs=4)
+
+
+def test_curves_and_stills_go_to_tensorboard_where_it_is_installed(tmp_path, monkeypatch):
+    told = []
+
+    class Writer:
+        def __init__(self, folder, purge_step):
+            told.append((Path(folder).name, purge_step))
+
+        def add_scalar(self, name, value, step):
+            told.append((name, value, step))
+
+        def add_image(self, name, image, step, dataformats):
+            told.append((name, image.shape, int(image[0, 0, 0]), step, dataformats))
+
+    monkeypatch.setattr("generator.training.log.find_spec", lambda name: name)
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", SimpleNamespace(SummaryWriter=Writer))
+    log = Log(tmp_path, 4)
+    log.write(Validated(5, 0.25))
+    log.show(5, [np.arange(5, dtype=np.uint8).repeat(32 * 144 * 3).reshape(5, 32, 144, 3)])
+    assert told == [("tensorboard", 5), ("validated/loss", 0.25, 5), ("validation", (32, 144, 3), 2, 5, "HWC")]
 
 
 def test_it_shows_different_vehicles_where_they_are_largest(trainer, cache):
