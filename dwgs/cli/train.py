@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from dwgs.cli.options import Clip
-from dwgs.cli.progress import Bar, bar, say
+from dwgs.cli.progress import Bar, bar, console, say
 from dwgs.cli.reconstruct import clip_key
 from dwgs.cli.stage import fingerprint, run_stage
 from dwgs.scene import InputError
@@ -75,16 +75,17 @@ class Train:
             raise InputError("sharing a network out is asked of dwgs train; launch without --use_fsdp, and add --shard")
         clips, config = self.configs()
         process = PartialState(cpu=not torch.cuda.is_available(), timeout=ENCODING)
+        console.quiet = not process.is_main_process  # one of several speaks
         require_processes(process.num_processes, config, self.shard)
         with process.main_process_first():
             if process.is_main_process:
                 self._make_toy()
             backbone = Backbone.open(self._backbone_folder)
+            backbone.load_text()  # computed by the first, where it is not stored yet
             if process.is_main_process:
                 self._encode(backbone, clips)
         cache = Cache(self.out / "latents")
-        if process.is_main_process:
-            self._say_memory(backbone, cache, config, process.num_processes)
+        self._say_memory(backbone, cache, config, process.num_processes)
         self._train(backbone, cache, config, process.is_main_process)
 
     def configs(self) -> "tuple[ClipConfig, TrainingConfig]":
@@ -137,7 +138,8 @@ class Train:
         footprint = TrainingFootprint.of(
             backbone.config, (whole - branch, branch), cache.shape, config, processes, self.shard
         )
-        say(f"each of {processes} processes takes about {footprint}" if processes > 1 else f"takes about {footprint}")
+        who = "the process" if processes == 1 else f"each of {processes} processes"
+        say(f"{who} takes about {footprint}")
 
     def _train(self, backbone: "Backbone", cache: "Cache", config: "TrainingConfig", is_main: bool) -> None:
         from generator.training.log import FILMS, Log
@@ -145,10 +147,9 @@ class Train:
         from generator.training.preview import preview
 
         trainer = Trainer(cache, backbone, config, self.out, self.shard)
-        if is_main:
-            shown = f", some are shown in '{self.out / FILMS}'" if trainer.held_out else ""
-            say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} are held out{shown}")
-        if is_main and trainer.step:
+        shown = f", some are shown in '{self.out / FILMS}'" if trainer.held_out else ""
+        say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} are held out{shown}")
+        if trainer.step:
             say(f"going on after step {trainer.step}")
         log = Log(self.out, trainer.step) if is_main else None
         with bar("train") as progress:
@@ -164,8 +165,7 @@ class Train:
                         codec = _codec(backbone)
                         log.show(event.step, [clip.film(codec) for clip in clips])
         steered, adapter = trainer.export(self.out)
-        if is_main:
-            say(f"next: dwgs insert SCENE ... --backend wan --backbone {steered} --adapter {adapter}")
+        say(f"next: dwgs insert SCENE ... --backend wan --backbone {steered} --adapter {adapter}")
 
 
 def _codec(backbone: "Backbone") -> "Codec":

@@ -65,7 +65,10 @@ def launch(drive, tmp_path_factory):
         launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc_per_node", str(processes)]
         command = ["-m", "dwgs", "train", str(drive), *TOY, "--steps", str(steps), *options, "-o", str(root / name)]
         whole = [sys.executable, *(launcher if processes > 1 else []), *command]
-        subprocess.run(whole, check=True, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
+        done = subprocess.run(
+            whole, check=True, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
+        )
+        (root / name / "said.txt").write_text(done.stderr)
         return root / name
 
     return run
@@ -98,6 +101,8 @@ def test_two_processes_that_share_the_network_out_learn_what_one_does(launch, al
     shared = launch("shared", 2, "--shard")
     assert losses(shared) == pytest.approx(losses(alone), rel=1e-5)
     assert_alike(shared, alone)
+    said = (shared / "said.txt").read_text()
+    assert said.count("each of 2 processes takes about") == said.count("next: dwgs insert") == 1
 
 
 @pytest.mark.parametrize(
