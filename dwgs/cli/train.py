@@ -147,8 +147,8 @@ class Train:
         from generator.training.preview import preview
 
         trainer = Trainer(cache, backbone, config, self.out, self.shard)
-        shown = f", some are shown in '{self.out / FILMS}'" if trainer.held_out else ""
-        say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} are held out{shown}")
+        shown = f", and some filmed in '{self.out / FILMS}'" if trainer.held_out else ""
+        say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} held-out ones are looked at{shown}")
         if trainer.step:
             say(f"going on after step {trainer.step}")
         log = Log(self.out, trainer.step) if is_main else None

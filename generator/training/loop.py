@@ -26,6 +26,8 @@ from generator.wan.folder import filled
 from generator.wan.weights import PROMPT_FILE, Backbone
 
 CHECKPOINTS = "checkpoints"
+LOOKS = 32
+"""Held-out clips that are looked at, at most, spread over all of them: looking takes time from learning."""
 _HELD_OUT = 2**31
 """Draws for held-out clips have keys that no step has."""
 
@@ -82,7 +84,8 @@ class Trainer:
         self.accelerator = Accelerator(cpu=not torch.cuda.is_available(), kwargs_handlers=[views])
         processes = self.accelerator.num_processes
         require_processes(processes, config, sharded)
-        self.teaching, self.held_out = cache.split()
+        self.teaching, held_out = cache.split()
+        self.held_out = held_out[:: -(-len(held_out) // LOOKS) or 1]
         dtype = torch.bfloat16 if config.precision == "bf16" else torch.float32
         transformer = backbone.load_transformer(dtype)
         self.adapter = new_adapter(transformer, config.init, mask_time=config.mask_time, seed=config.seed)

@@ -15,8 +15,6 @@ from generator.wan.settings import Sampling
 
 CLIPS = 2
 """So many are painted: those that show a vehicle largest, each another one."""
-CANDIDATES = 32
-"""They are chosen from so many, spread over those that are held out."""
 SAMPLING = Sampling(steps=10)
 """As in generating, in a third of the steps: it is done again and again."""
 
@@ -48,9 +46,8 @@ def preview(trainer: Trainer) -> list[Preview]:
 
 
 def _chosen(cache: Cache, held_out: list[int]) -> list[int]:
-    spread = held_out[:: -(-len(held_out) // CANDIDATES) or 1]
     largest: dict[str, int] = {}
-    for number in sorted(spread, key=lambda number: -np.count_nonzero(cache[number].reactive_mask)):
+    for number in sorted(held_out, key=lambda number: -np.count_nonzero(cache[number].reactive_mask)):
         largest.setdefault(vehicle_of(cache.names[number]), number)
     return list(largest.values())[:CLIPS]
 

@@ -178,6 +178,14 @@ def test_a_network_is_not_shared_out_among_one(cache, backbone_folder, tmp_path)
         Trainer(cache, Backbone.open(backbone_folder), CONFIG, tmp_path, sharded=True)
 
 
+def test_looking_takes_a_bounded_time_and_goes_all_over_what_is_held_out(cache, backbone_folder, tmp_path, monkeypatch):
+    for held, looked in ((0, 0), (5, 5), (32, 32), (33, 17), (1000, 32)):
+        monkeypatch.setattr(Cache, "split", lambda self, held=held: ([0, 1], list(range(held))))
+        chosen = Trainer(cache, Backbone.open(backbone_folder), CONFIG, tmp_path / "looks").held_out
+        assert len(chosen) == looked
+        assert held < 33 or chosen[-1] >= 0.9 * held
+
+
 def test_another_training_in_the_same_folder_is_refused(train):
     train(steps=1)
     with pytest.raises(InputError, match=r"holds a training with rate 0.001, not 0.1"):
