@@ -81,7 +81,7 @@ class WanGenerator:
         notes = [f"{self.name}: {footprint.weights / GB:.1f} GB of weights, clips of {CLIP} frames; what fits where:"]
         notes += [*table(footprint), f"on {', '.join(self.devices)}: {memory}"]
         for lora, changed in zip(self.settings.loras, self._changed, strict=True):
-            notes.append(f"'{lora.path.name}' at strength {lora.strength:g} changes {changed} tensors of the backbone")
+            notes.append(f"'{lora.path.name}' at strength {lora.strength:g} changes the backbone in {changed} places")
         sampling = self.settings.sampling
         notes.append(f"{sampling.steps} steps are {sampling.evaluations} runs of the network for each clip")
         return notes

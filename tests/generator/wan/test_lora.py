@@ -175,6 +175,6 @@ def test_a_generator_is_told_of_it_and_strength_0_changes_no_pixel(lora, backbon
     assert not np.array_equal(pixels(file), plain)
     notes = WanGenerator(replace(settings, loras=(file,))).check(conditions(5).scene)
     assert notes[-2:] == [
-        f"'lora.safetensors' at strength 1 changes {len(MODULES) + 1} tensors of the backbone",
+        f"'lora.safetensors' at strength 1 changes the backbone in {len(MODULES) + 1} places",
         "2 steps are 2 runs of the network for each clip",
     ]
