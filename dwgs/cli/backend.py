@@ -26,6 +26,9 @@ class BackendChoice:
     """Folder of Wan2.1-VACE in diffusers' layout."""
     adapter: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of a PointAdapter, from `dwgs train`."""
+    lora: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE[:STRENGTH]...")] = ()
+    """Safetensors files that change the backbone, such as those that let Wan2.1 work in 4 to 8 steps; these want
+    --guidance 1 and --shift 5."""
     strategy: Literal["global-to-local", "autoregressive", "single"] = "global-to-local"
     """How a video longer than 49 frames is made: anchors first and then what lies between, segment after
     segment, or all at once."""
@@ -44,13 +47,10 @@ class BackendChoice:
     weights: Literal["resident", "streamed", "float8"] | None = None
     """Where the weights live: on the device, fetched block by block, or there with 8 bits; by default what
     fits and changes no picture."""
-    attention: str | None = None
-    """One of diffusers' attention backends, such as flash; by default PyTorch's."""
     tiles: bool = False
     """Let the autoencoder work in tiles: less memory where images are large or the backbone is small."""
-    lora: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE[:STRENGTH]...")] = ()
-    """Safetensors files that change the backbone, such as those that let Wan2.1 work in 4 to 8 steps; these want
-    --guidance 1 and --shift 5."""
+    attention: str | None = None
+    """One of diffusers' attention backends, such as flash; by default PyTorch's."""
 
     def open(self, parts: Path | None = None) -> "Generator":
         """The backend; what can be wrong with its files is found now.
