@@ -50,7 +50,7 @@ def run(steps: int, streets: int) -> list[Metric]:
         (root / "latents").mkdir()
         write_cache(teaching, codec, CLIPS, root / "latents")
         cache = Cache(root / "latents")
-        config = TrainingConfig(steps, 8, 2e-3, 20, ema=0.98, precision="no", checkpoint_every=steps)
+        config = TrainingConfig(steps, 8, 8, 2e-3, 20, ema=0.98, precision="no", checkpoint_every=steps)
         trainer = Trainer(cache, backbone, config, root / "run")
         text = backbone.load_text()
         bare = Network(backbone.load_transformer(), codec, text, "vace", knows_points=False)

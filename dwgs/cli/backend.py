@@ -1,6 +1,6 @@
 """What makes the pixels, as a person chooses it."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -27,6 +27,9 @@ class BackendChoice:
     """Folder of Wan2.1-VACE in diffusers' layout."""
     adapter: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of a PointAdapter, from `dwgs train`."""
+    lora: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE[:STRENGTH]...")] = ()
+    """Safetensors files that change the backbone, such as those that let Wan2.1 work in 4 to 8 steps; these want
+    --guidance 1 and --shift 5."""
     strategy: Literal["global-to-local", "autoregressive", "single"] = "global-to-local"
     """How a video longer than 49 frames is made: anchors first and then what lies between, segment after
     segment, or all at once."""
@@ -34,6 +37,8 @@ class BackendChoice:
     """How noise becomes pixels."""
     sampling_steps: int = 30
     """Steps from noise to pixels."""
+    shift: float = 3.0
+    """Of the noise levels towards noise."""
     guidance: float = 2.5
     """How much the points (for vace: the text) are stressed; 1 is not at all."""
     guided: float = 1.0
@@ -43,6 +48,8 @@ class BackendChoice:
     weights: Literal["resident", "streamed", "float8"] | None = None
     """Where the weights live: on the device, fetched block by block, or there with 8 bits; by default what
     fits and changes no picture."""
+    tiles: bool = False
+    """Let the autoencoder work in tiles: less memory where images are large or the backbone is small."""
     attention: str | None = None
     """One of diffusers' attention backends, such as flash; by default PyTorch's."""
     whole_frame: bool = False
@@ -56,7 +63,7 @@ class BackendChoice:
             parts: Folder for finished parts of a video.
         """
         from generator import backend
-        from generator.wan.settings import Sampling, WanSettings
+        from generator.wan.settings import Lora, Sampling, WanSettings
 
         if self.whole_frame and self.backend in ("composite", "asset"):
             raise InputError(
@@ -64,7 +71,7 @@ class BackendChoice:
             )
         if self.backbone is None or self.backend in ("composite", "asset"):
             return backend(self.backend, asset=self.asset)
-        sampling = Sampling(self.sampler, self.sampling_steps, guidance=self.guidance, guided=self.guided)
+        sampling = Sampling(self.sampler, self.sampling_steps, self.shift, self.guidance, self.guided)
         settings = WanSettings(
             self.backbone,
             self.adapter,
@@ -75,11 +82,15 @@ class BackendChoice:
             self.attention,
             self.whole_frame,
         )
+        settings = replace(settings, loras=tuple(map(Lora.of, self.lora)), tiled=self.tiles)
         return backend(self.backend, settings, parts)
 
     def key(self) -> dict[str, Any]:
         """Everything that the pixels depend on."""
-        folders = [fingerprint(folder) for folder in (self.asset, self.backbone, self.adapter) if folder]
+        from generator.wan.settings import Lora
+
+        given = [self.asset, self.backbone, self.adapter, *(Lora.of(text).path for text in self.lora)]
+        folders = [fingerprint(path) for path in given if path]
         return {**asdict(self), "folders": folders}
 
 

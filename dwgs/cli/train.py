@@ -1,14 +1,16 @@
 """dwgs train: a PointAdapter, from recorded drives."""
 
 import json
+import os
 from dataclasses import asdict, dataclass, replace
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from dwgs.cli.options import Clip
-from dwgs.cli.progress import Bar, bar, say
+from dwgs.cli.progress import Bar, bar, console, say
 from dwgs.cli.reconstruct import clip_key
 from dwgs.cli.stage import fingerprint, run_stage, versions
 from dwgs.files import new_file
@@ -17,12 +19,15 @@ from dwgs.scene import InputError
 if TYPE_CHECKING:
     from generator.training.cache import Cache
     from generator.training.config import ClipConfig, TrainingConfig
+    from generator.wan.encode import Codec
     from generator.wan.weights import Backbone
 
 SETTINGS = "run.json"
 """In a training's folder, once it has ended: what it was told."""
 ADAPTER, TRAINED_BACKBONE = "adapter", "trained-backbone"
 """What it leaves there; the backbone where it learnt, too."""
+ENCODING = timedelta(days=7)
+"""So long the other processes wait for the one that encodes clips."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,9 @@ class Train:
     """First and last frame of every drive, as in 0-192; by default all."""
     size: Annotated[str | None, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = None
     """Width x height [px] of every clip; by default 720x480."""
+    shard: bool = False
+    """Share the network out among the processes (FSDP2) instead of giving each all of it: for GPUs of 80 GB and
+    less."""
     seed: int = 0
     """Of everything random."""
 
@@ -66,19 +74,26 @@ class Train:
         from accelerate import PartialState
 
         from generator.training.cache import Cache
+        from generator.training.loop import require_processes
         from generator.wan.weights import Backbone
 
         if not self.scenes:
             raise InputError("training takes at least one drive; name a folder, or street")
+        if os.environ.get("ACCELERATE_USE_FSDP", "false").lower() == "true":
+            raise InputError("sharing a network out is asked of dwgs train; launch without --use_fsdp, and add --shard")
         clips, config = self.configs()
-        process = PartialState(cpu=not torch.cuda.is_available())
+        process = PartialState(cpu=not torch.cuda.is_available(), timeout=ENCODING)
+        console.quiet = not process.is_main_process  # one of several speaks
+        require_processes(process.num_processes, config, self.shard)
         with process.main_process_first():
             if process.is_main_process:
                 self._make_toy()
             backbone = Backbone.open(self._backbone_folder)
+            backbone.load_text()  # computed by the first, where it is not stored yet
             if process.is_main_process:
                 self._encode(backbone, clips)
         cache = Cache(self.out / "latents")
+        self._say_memory(backbone, cache, config, process.num_processes)
         self._train(backbone, cache, config, process.is_main_process)
 
     def configs(self) -> "tuple[ClipConfig, TrainingConfig]":
@@ -111,15 +126,11 @@ class Train:
         drives = [Clip(scene, frames=self.frames, size=self.size) for scene in self.scenes]
 
         def make(draft: Path, progress: Bar) -> dict:
-            import torch
-
             from generator.training.cache import write_cache
             from generator.training.clips import clips_of
 
-            device = "cuda" if torch.cuda.is_available() else "cpu"
-            codec = backbone.load_codec(device, torch.bfloat16 if device == "cuda" else torch.float32)
             clips = (clip for drive in drives for clip in clips_of(drive.open(), config))
-            write_cache(clips, codec, config, draft, lambda done: progress.count(done, None))
+            write_cache(clips, _codec(backbone), config, draft, lambda done: progress.count(done, None))
             return {}
 
         inputs = {
@@ -129,14 +140,25 @@ class Train:
         }
         run_stage(self.out / "latents", "encode", inputs, make)
 
-    def _train(self, backbone: "Backbone", cache: "Cache", config: "TrainingConfig", is_main: bool) -> None:
-        from generator.training.log import Log
-        from generator.training.loop import Stepped, Trainer, Validated
+    def _say_memory(self, backbone: "Backbone", cache: "Cache", config: "TrainingConfig", processes: int) -> None:
+        from generator.training.memory import TrainingFootprint
 
-        trainer = Trainer(cache, backbone, config, self.out)
-        if is_main:
-            say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} are held out")
-        if is_main and trainer.step:
+        whole, branch = backbone.parameters
+        footprint = TrainingFootprint.of(
+            backbone.config, (whole - branch, branch), cache.shape, config, processes, self.shard
+        )
+        who = "the process" if processes == 1 else f"each of {processes} processes"
+        say(f"{who} takes about {footprint}")
+
+    def _train(self, backbone: "Backbone", cache: "Cache", config: "TrainingConfig", is_main: bool) -> None:
+        from generator.training.log import FILMS, Log
+        from generator.training.loop import Stepped, Trainer, Validated
+        from generator.training.preview import preview
+
+        trainer = Trainer(cache, backbone, config, self.out, self.shard)
+        shown = f", and some filmed in '{self.out / FILMS}'" if trainer.held_out else ""
+        say(f"{len(trainer.teaching)} clips teach, {len(trainer.held_out)} held-out ones are looked at{shown}")
+        if trainer.step:
             say(f"going on after step {trainer.step}")
         log = Log(self.out, trainer.step) if is_main else None
         with bar("train") as progress:
@@ -147,8 +169,21 @@ class Train:
                     progress.count(event.step, event.steps)
                 elif isinstance(event, Validated):
                     progress.tell(f"held-out loss {event.loss:.4f}")
-        if is_main:
-            steered, adapter = trainer.export(self.out)
+                    clips = preview(trainer)
+                    if log is not None:
+                        codec = _codec(backbone)
+                        log.show(event.step, [clip.film(codec) for clip in clips])
+        steered, adapter = trainer.export(self.out)
+        if log is not None:
             with new_file(self.out / SETTINGS) as draft:
                 draft.write_text(json.dumps({"settings": asdict(self), "versions": versions()}, indent=2, default=str))
-            say(f"next: dwgs insert SCENE ... --backend wan --backbone {steered} --adapter {adapter}")
+        say(f"next: dwgs insert SCENE ... --backend wan --backbone {steered} --adapter {adapter}")
+
+
+def _codec(backbone: "Backbone") -> "Codec":
+    """On the first GPU, or in host memory where there is none."""
+    import torch
+
+    if torch.cuda.is_available():
+        return backbone.load_codec("cuda", torch.bfloat16)
+    return backbone.load_codec()

@@ -176,11 +176,11 @@ class Cache:
 
     def split(self) -> tuple[list[int], list[int]]:
         """Numbers of clips that teach, and of those held out: every eighth vehicle, whole."""
-        vehicles = list(dict.fromkeys(_vehicle(name) for name in self.names))
+        vehicles = list(dict.fromkeys(vehicle_of(name) for name in self.names))
         held = set(vehicles[7::8])
         numbers = range(len(self))
-        return [i for i in numbers if _vehicle(self.names[i]) not in held], [
-            i for i in numbers if _vehicle(self.names[i]) in held
+        return [i for i in numbers if vehicle_of(self.names[i]) not in held], [
+            i for i in numbers if vehicle_of(self.names[i]) in held
         ]
 
     def _index(self) -> dict[str, tuple[Path, int, int]]:
@@ -221,5 +221,6 @@ def _unpacked(bits: Tensor, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     return np.unpackbits(bits.numpy(), count=int(np.prod(shape))).astype(bool).reshape(shape)
 
 
-def _vehicle(name: str) -> str:
+def vehicle_of(name: str) -> str:
+    """The drive and vehicle that a clip of that name shows."""
     return name.rpartition("/")[0]

@@ -1,17 +1,20 @@
-"""Where a training stands, in safetensors: what is learnt, its average, and Adam's moments; the frozen rest is not."""
+"""Where a training stands, in safetensors: what is learnt, its average, and Adam's moments; the frozen rest is not.
+
+A file holds whole tensors: any number of processes, sharing the network out or not, goes on from it.
+"""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 from torch.optim import Adam
 
 from dwgs.scene.errors import InputError
+from generator.training.shards import part_of, whole
 
 STATE_FILE = "state.safetensors"
 ADAPTER_FOLDER = "adapter"
@@ -26,28 +29,29 @@ class State:
     average: Mapping[str, Tensor]
     optimizer: Adam
 
-    def write(self, path: Path) -> None:
-        """Write all of it to a file."""
-        save_file(self.tensors(), path)
+    def tensors(self) -> Iterator[tuple[str, Tensor]]:
+        """All of it by name, one whole tensor after another; all processes must ask.
 
-    def tensors(self) -> dict[str, Tensor]:
-        """All of it, by name; on a CPU these are views of what goes on changing."""
-        tensors = {f"weight:{name}": p.detach() for name, p in self.parameters.items()}
-        tensors |= {f"average:{name}": average for name, average in self.average.items()}
+        On a CPU they may be views of what goes on changing.
+        """
         for name, parameter in self.parameters.items():
             moments = self.optimizer.state[parameter]
-            tensors |= {f"{moment}:{name}": moments[moment] for moment in _MOMENTS}
-        return {name: tensor.cpu().contiguous() for name, tensor in tensors.items()}
+            yield f"weight:{name}", whole(parameter.detach())
+            yield f"average:{name}", whole(self.average[name])
+            for moment in _MOMENTS:
+                yield f"{moment}:{name}", whole(moments[moment])
 
-    def restore(self, tensors: Mapping[str, Tensor]) -> None:
-        """Take up what `tensors` gave; raises KeyError where something is missing."""
+    def restore(self, tensor_of: Callable[[str], Tensor]) -> None:
+        """Take up what `tensors` gave, asking for one after another."""
         with torch.no_grad():
             for name, parameter in self.parameters.items():
-                parameter.copy_(tensors[f"weight:{name}"])
-                self.average[name].copy_(tensors[f"average:{name}"])
-                moments = {moment: tensors[f"{moment}:{name}"].clone() for moment in _MOMENTS}
-                on_device = {k: v if k == "step" else v.to(parameter.device) for k, v in moments.items()}
-                self.optimizer.state[parameter] = on_device
+                parameter.copy_(part_of(tensor_of(f"weight:{name}"), parameter))
+                self.average[name].copy_(part_of(tensor_of(f"average:{name}"), parameter))
+                moments = {"step": tensor_of(f"step:{name}").clone()}  # Adam counts in host memory
+                for moment in ("exp_avg", "exp_avg_sq"):
+                    part = part_of(tensor_of(f"{moment}:{name}"), parameter)
+                    moments[moment] = torch.empty_like(parameter).copy_(part)
+                self.optimizer.state[parameter] = moments
 
 
 def newest(folder: Path) -> Path | None:
@@ -63,9 +67,10 @@ def read(path: Path, state: State) -> int:
         InputError: It is damaged, or of another training.
     """
     try:
-        state.restore(load_file(path / STATE_FILE))
+        with safe_open(path / STATE_FILE, framework="pt") as file:
+            state.restore(file.get_tensor)
         return int(path.name)
-    except (OSError, SafetensorError, KeyError, RuntimeError, ValueError) as error:
+    except (OSError, SafetensorError, RuntimeError, ValueError) as error:
         raise InputError(f"checkpoint '{path}' is damaged or of another training ({error}); delete it") from None
 
 

@@ -50,6 +50,8 @@ class TrainingConfig:
     """Steps of the optimiser."""
     batch: int = 8
     """Clips per step, over all processes."""
+    at_once: int = 1
+    """Of these, so many go through the network together in each process: more take more memory."""
     rate: float = 1e-5
     """Learning rate of Adam."""
     warmup: int = 100
@@ -78,8 +80,8 @@ class TrainingConfig:
     """Of everything random."""
 
     def __post_init__(self) -> None:
-        if min(self.steps, self.batch, self.checkpoint_every, self.keep) < 1 or self.warmup < 0:
-            raise InputError("steps, batch, checkpoint-every and keep are at least 1, warmup at least 0")
+        if min(self.steps, self.batch, self.at_once, self.checkpoint_every, self.keep) < 1 or self.warmup < 0:
+            raise InputError("steps, batch, at-once, checkpoint-every and keep are at least 1, warmup at least 0")
         if not (0 <= self.dropout <= 1 and 0 <= self.aware <= 1 and 0 <= self.ema < 1):
             raise InputError("dropout and aware are shares of 0 to 1, ema is at least 0 and less than 1")
 
@@ -92,7 +94,7 @@ PRESETS = {
     "paper": (ClipConfig(), TrainingConfig()),
     "tiny": (
         ClipConfig(frames=9, hop=4),
-        TrainingConfig(300, 4, 1e-3, 10, ema=0.9, precision="no", checkpoint_every=50),
+        TrainingConfig(300, 4, 4, 1e-3, 10, ema=0.9, precision="no", checkpoint_every=50),
     ),
 }
 """``paper`` for Wan2.1 on GPUs; ``tiny`` runs the same lines on a CPU in minutes, on a backbone of toy size."""

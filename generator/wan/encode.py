@@ -12,6 +12,7 @@ from torch.nn import functional
 from generator.conditions.raster import GREY
 from generator.long_video import STRIDE
 from generator.wan.clip import Clip
+from generator.wan.memory import TILE
 from generator.wan.settings import MaskTime
 
 SPACE = 8
@@ -28,6 +29,10 @@ class Codec:
         self._mean = _per_channel(vae.config["latents_mean"]).to(vae.device)
         self._std = _per_channel(vae.config["latents_std"]).to(vae.device)
         self._grey: dict[tuple[int, ...], Tensor] = {}
+
+    def work_in_tiles(self) -> None:
+        """Take less memory for images larger than a tile: the same up to blended seams."""
+        self.vae.enable_tiling(TILE, TILE, TILE * 3 // 4, TILE * 3 // 4)
 
     @torch.no_grad()
     def encode(self, images: NDArray[np.uint8], shown: NDArray[np.bool_]) -> Tensor:

@@ -21,6 +21,7 @@ _LIMITS = {
 }
 _LONGEST = 256
 M = TypeVar("M", bound=ConfigMixin)
+N = TypeVar("N", bound=torch.nn.Module)
 _STEMS = ("diffusion_pytorch_model", "model")
 
 
@@ -100,6 +101,14 @@ def skeleton(kind: type[M], config: Mapping[str, Any], folder: Path) -> M:
     except (TypeError, ValueError, KeyError, RuntimeError) as error:
         raise InputError(f"'{folder}/config.json' describes no {kind.__name__} ({error}); download it again") from None
     assert isinstance(model, kind)
+    return model
+
+
+def filled(kind: type[N], config: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> N:
+    """The model that a config describes, with tensors that are shared, not copied; there must be all of them."""
+    with torch.device("meta"):
+        model = kind(**{key: value for key, value in config.items() if not key.startswith("_")})
+    model.load_state_dict(dict(tensors), assign=True)
     return model
 
 

@@ -13,6 +13,8 @@ the device with the backbone rounded to 8 bits, other pictures."""
 GB = 1e9
 CARDS = (24, 48, 80, 141)
 """What GPUs have [GB]."""
+TILE = 256
+"""Side of the autoencoder's tiles, where it works in tiles [px]; neighbours share a quarter, and are blended there."""
 SPARE = 0.06
 """Share of a device's memory that is not ours: the driver's, the allocator's gaps."""
 
@@ -36,17 +38,24 @@ class Footprint:
 
     @staticmethod
     def of(
-        config: Mapping[str, Any], backbone: int, branch: int, clip: tuple[int, int, int], bytes_per_parameter: int
+        config: Mapping[str, Any],
+        backbone: int,
+        branch: int,
+        clip: tuple[int, int, int],
+        bytes_per_parameter: int,
+        tiled: bool = False,
     ) -> "Footprint":
         """Of a transformer's config, its parameters, and clips [T, H, W].
 
         Activations: the tokens' states, every hint, one feed-forward and a few copies in float32. The autoencoder
-        works on four frames at a time, with some dozen maps of its first layer's width at full size.
+        works on four frames at a time, with some dozen maps of its first layer's width at full size, or of a tile's.
         """
         frames, height, width = clip
         tokens = (1 + (frames - 1) // 4) * (height // 16) * (width // 16)
         dim = config["num_attention_heads"] * config["attention_head_dim"]
         states = tokens * (2 * dim * (2 * len(config["vace_layers"]) + 6) + 4 * dim * 4 + 2 * 2 * config["ffn_dim"])
+        if tiled:
+            height, width = min(height, TILE), min(width, TILE)
         codec = 0.5 * GB + 4 * height * width * 96 * 2 * 16
         return Footprint(backbone, branch, config["num_layers"], states, codec, bytes_per_parameter)
 

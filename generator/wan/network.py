@@ -8,6 +8,7 @@ import torch
 from diffusers import WanVACETransformer3DModel
 from numpy.typing import NDArray
 
+from dwgs.scene.errors import InputError
 from generator.wan.clip import Clip
 from generator.wan.denoise import Side, denoise
 from generator.wan.encode import Codec, ControlLatents
@@ -45,6 +46,20 @@ class Network:
         noise = torch.randn(control.inactive.shape, generator=random).to(device)
         latents = denoise(self.transformer, noise, condition, null, sampling, on_step)
         return clip.restored(self.codec.decode(latents))
+
+
+def require_attention(name: str, device: str) -> None:
+    """Raise `InputError` unless one of diffusers' attention backends works on a device."""
+    from diffusers.models.attention_dispatch import attention_backend, dispatch_attention_fn
+
+    dtype = torch.float32 if device == "cpu" else torch.bfloat16
+    head = torch.zeros(1, 16, 1, 128, dtype=dtype, device=device)  # as wide as Wan's
+    try:
+        with attention_backend(name):
+            dispatch_attention_fn(head, head, head)
+    except Exception as error:  # each backend's package fails in its own way
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise InputError(f"attention '{name}' does not work on {device} ({reason}); leave --attention out") from None
 
 
 def place(transformer: WanVACETransformer3DModel, device: str, memory: MemoryPlan, attention: str | None) -> None:

@@ -1,5 +1,6 @@
 """What a run of the backends ``wan`` and ``vace`` is told: values only, so that a command starts without torch."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -56,6 +57,30 @@ class Sampling:
 
 
 @dataclass(frozen=True)
+class Lora:
+    """A borrowed change of the backbone's weights."""
+
+    path: Path
+    """Of a safetensors file."""
+    strength: float = 1.0
+    """Its weight; 0 is none of it."""
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.strength):
+            raise InputError(f"a LoRA's strength is a number, '{self.path}' is given {self.strength}")
+
+    @staticmethod
+    def of(text: str) -> "Lora":
+        """What ``FILE`` or ``FILE:STRENGTH`` says."""
+        path, _, strength = text.rpartition(":")
+        try:
+            weight = float(strength)
+        except ValueError:  # the colon, if any, is part of the name
+            return Lora(Path(text))
+        return Lora(Path(path), weight) if path else Lora(Path(text))
+
+
+@dataclass(frozen=True)
 class WanSettings:
     """What a run of the backend is told."""
 
@@ -75,3 +100,7 @@ class WanSettings:
     """One of diffusers' attention backends; by default PyTorch's."""
     whole_frame: bool = False
     """Whether whole images are painted, told of by LiDAR points of the whole street: StreetCrafter's way."""
+    loras: tuple[Lora, ...] = ()
+    """Added to the backbone's weights while it is loaded."""
+    tiled: bool = False
+    """Whether the autoencoder works in tiles: in less memory, with blended seams."""

@@ -21,8 +21,9 @@ from generator.long_video import CLIP, Pass, plan, seen
 from generator.wan.adapter import adapter_config, fingerprint_of, load_adapter, parameters_of, require_adapter
 from generator.wan.clip import Clip
 from generator.wan.folder import tensor_of
-from generator.wan.memory import GB, Footprint, MemoryPlan, Weights, plan_memory, table
-from generator.wan.network import Network, place
+from generator.wan.lora import fuse, require_lora
+from generator.wan.memory import GB, TILE, Footprint, MemoryPlan, Weights, plan_memory, table
+from generator.wan.network import Network, place, require_attention
 from generator.wan.settings import WanSettings
 from generator.wan.weights import Backbone
 
@@ -52,6 +53,9 @@ class WanGenerator:
         self.devices = settings.devices or ("cuda" if torch.cuda.is_available() else "cpu",)
         for device in self.devices:
             _require_device(device)
+            if settings.attention is not None:
+                require_attention(settings.attention, device)
+        self._changed = [require_lora(lora, self.backbone.skeleton) for lora in settings.loras]
 
     @property
     def name(self) -> str:
@@ -66,8 +70,7 @@ class WanGenerator:
 
     def check(self, scene: Scene) -> list[str]:
         """How its weights will fit; see `generator.generator.Generator.check`."""
-        for frames in scene.frames.values():
-            width, height = frames[0].camera.width, frames[0].camera.height
+        for height, width in _sizes(scene):
             if width % SIZE_MULTIPLE or height % SIZE_MULTIPLE:
                 raise InputError(
                     f"'{self.name}' takes images whose sides are multiples of {SIZE_MULTIPLE}, these are "
@@ -75,9 +78,15 @@ class WanGenerator:
                 )
         if self.settings.whole_frame:
             require_lidar(scene)
+        if self.settings.tiled and max(map(max, _sizes(scene))) <= TILE:
+            raise InputError(f"no image here has a side of more than a tile's {TILE} px; leave --tiles out")
         footprint, memory = self._memory(scene)
         notes = [f"{self.name}: {footprint.weights / GB:.1f} GB of weights, clips of {CLIP} frames; what fits where:"]
         notes += [*table(footprint), f"on {', '.join(self.devices)}: {memory}"]
+        for lora, changed in zip(self.settings.loras, self._changed, strict=True):
+            notes.append(f"'{lora.path.name}' at strength {lora.strength:g} changes the backbone in {changed} places")
+        sampling = self.settings.sampling
+        notes.append(f"{sampling.steps} steps are {sampling.evaluations} runs of the network for each clip")
         return notes
 
     def generate(
@@ -114,9 +123,13 @@ class WanGenerator:
             adapter = load_adapter(settings.adapter, transformer, dtype)
             adapter.attach(transformer)
             mask_time = adapter.mask_time
+        for lora in settings.loras:  # after the adapter, which knows the backbone by its weights
+            fuse(lora, transformer)
         transformer.requires_grad_(False)
         place(transformer, device, memory, settings.attention)
         codec = self.backbone.load_codec(device, dtype)
+        if settings.tiled:
+            codec.work_in_tiles()
         return Network(transformer, codec, self.backbone.load_text(), mask_time, settings.adapter is not None)
 
     def _memory(self, scene: Scene) -> tuple[Footprint, MemoryPlan]:
@@ -124,8 +137,7 @@ class WanGenerator:
         whole, own = self.backbone.parameters
         adapter = self.settings.adapter
         branch = own if adapter is None else parameters_of(adapter_config(adapter), adapter)
-        sizes = [(frames[0].camera.height, frames[0].camera.width) for frames in scene.frames.values()]
-        height, width = max(sizes, key=lambda size: size[0] * size[1])
+        height, width = max(_sizes(scene), key=lambda size: size[0] * size[1])
         longest = max(
             len(a_pass.frames)
             for frames in scene.frames.values()
@@ -134,7 +146,12 @@ class WanGenerator:
         )
         on_cpu = "cpu" in self.devices
         footprint = Footprint.of(
-            self.backbone.config, whole - own, branch, (longest, height, width), 4 if on_cpu else 2
+            self.backbone.config,
+            whole - own,
+            branch,
+            (longest, height, width),
+            4 if on_cpu else 2,
+            self.settings.tiled,
         )
         choices: tuple[Weights, ...] = ("resident",) if on_cpu else ("resident", "streamed")
         if self.settings.weights is not None:
@@ -246,6 +263,11 @@ def _capacity(device: str) -> float:
 def _is_out_of_memory(error: Exception) -> bool:
     """On a GPU it has a type of its own; on a CPU only the words tell."""
     return isinstance(error, torch.OutOfMemoryError | MemoryError) or "can't allocate memory" in str(error)
+
+
+def _sizes(scene: Scene) -> list[tuple[int, int]]:
+    """(height, width) of each camera's images."""
+    return [(frames[0].camera.height, frames[0].camera.width) for frames in scene.frames.values()]
 
 
 def _near(side: int) -> int:

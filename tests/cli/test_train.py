@@ -21,13 +21,14 @@ TOY = ["--preset", "tiny", "--size", "48x32", "--batch", "2"]
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    """A short recorded street with only two of its vehicles, which is enough."""
+    """A short recorded street with only eight of its vehicles: seven teach, one is held out."""
     from dataclasses import replace
 
     from dwgs.street import build_street
 
     scene = build_street(frames=13, width=48, height=32).scene()
-    kept = tuple(track for track in scene.tracks if track.id in ("moving-00", "parked-04"))
+    seen = ("moving-00", "moving-01", *(f"parked-{i:02d}" for i in range(4, 10)))
+    kept = tuple(track for track in scene.tracks if track.id in seen)
     folder = tmp_path_factory.mktemp("drive") / "street"
     scene_folder.write(replace(scene, tracks=kept), folder)
     return folder
@@ -45,6 +46,7 @@ def test_training_leaves_an_adapter_that_generates(out):
     assert generator.name == "wan"
     events = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
     assert [e["step"] for e in events if e["event"] == "stepped"] == [1, 2, 3]
+    assert [path.name for path in (out / "validation").iterdir()] == ["00000003.mp4"]
 
 
 def test_it_leaves_what_it_was_told_for_whoever_compares(out):
@@ -60,18 +62,53 @@ def test_more_steps_go_on_from_the_last_checkpoint(out, drive, capsys):
     assert [path.name for path in sorted((out / "checkpoints").iterdir())] == ["00000003", "00000005"]
 
 
-def test_two_processes_learn_what_one_does(drive, tmp_path):
-    command = ["-m", "dwgs", "train", str(drive), *TOY, "--steps", "3"]
-    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc_per_node", "2"]
-    for run, before in (("one", []), ("two", launch)):
-        whole = [sys.executable, *before, *command, "-o", str(tmp_path / run)]
-        subprocess.run(whole, check=True, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
-    logs = [(tmp_path / run / "log.jsonl").read_text().splitlines() for run in ("one", "two")]
-    losses = [[json.loads(line)["loss"] for line in log] for log in logs]
-    assert len(losses[0]) == 3
-    assert losses[0] == pytest.approx(losses[1], rel=1e-5)
-    ours, theirs = (load_file(tmp_path / run / "adapter" / WEIGHTS) for run in ("one", "two"))
-    assert all(torch.allclose(ours[name], theirs[name], atol=1e-5) for name in ours | theirs)
+@pytest.fixture(scope="module")
+def launch(drive, tmp_path_factory):
+    """Trains into a folder of that name with so many processes, as a person launches them."""
+    root = tmp_path_factory.mktemp("launched")
+
+    def run(name, processes, *options, steps=3):
+        launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc_per_node", str(processes)]
+        command = ["-m", "dwgs", "train", str(drive), *TOY, "--steps", str(steps), *options, "-o", str(root / name)]
+        whole = [sys.executable, *(launcher if processes > 1 else []), *command]
+        done = subprocess.run(
+            whole, check=True, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
+        )
+        (root / name / "said.txt").write_text(done.stderr)
+        return root / name
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def alone(launch):
+    """Three steps by one process."""
+    return launch("one", 1)
+
+
+def losses(folder):
+    events = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    return [event["loss"] for event in events if event["event"] == "stepped"]
+
+
+def assert_alike(folder, other, atol=1e-5):
+    ours, theirs = (load_file(each / "adapter" / WEIGHTS) for each in (folder, other))
+    assert all(torch.allclose(ours[name], theirs[name], atol=atol) for name in ours | theirs)
+
+
+def test_two_processes_learn_what_one_does(launch, alone):
+    two = launch("two", 2)
+    assert len(losses(alone)) == 3
+    assert losses(two) == pytest.approx(losses(alone), rel=1e-5)
+    assert_alike(two, alone)
+
+
+def test_two_processes_that_share_the_network_out_learn_what_one_does(launch, alone):
+    shared = launch("shared", 2, "--shard")
+    assert losses(shared) == pytest.approx(losses(alone), rel=1e-5)
+    assert_alike(shared, alone)
+    said = (shared / "said.txt").read_text()
+    assert said.count("each of 2 processes takes about") == said.count("next: dwgs insert") == 1
 
 
 @pytest.mark.parametrize(
@@ -79,6 +116,7 @@ def test_two_processes_learn_what_one_does(drive, tmp_path):
     [
         (["nowhere", *TOY], "nowhere"),
         (["street", "--preset", "paper"], "give --backbone DIR"),
+        (["street", *TOY, "--shard"], "shared out among several processes, there is one"),
         (["street", "--backbone", "no-such-folder"], "there is no 'no-such-folder/transformer/config.json'"),
     ],
 )
@@ -87,3 +125,10 @@ def test_what_cannot_be_trained_is_said_in_one_sentence(arguments, said, tmp_pat
         main(["train", *arguments, "-o", str(tmp_path / "out")])
     assert exit.value.code == 2
     assert said in capsys.readouterr().err
+
+
+def test_the_launchers_own_sharding_is_refused(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("ACCELERATE_USE_FSDP", "true")
+    with pytest.raises(SystemExit):
+        main(["train", "street", *TOY, "-o", str(tmp_path / "out")])
+    assert "launch without --use_fsdp, and add --shard" in capsys.readouterr().err

@@ -8,39 +8,16 @@ from safetensors.torch import load_file
 
 from dwgs.scene import InputError
 from generator.training.cache import Cache, encode, write_cache
-from generator.training.clips import TrainingClip
 from generator.training.config import ClipConfig, TrainingConfig
 from generator.training.log import Log
 from generator.training.loop import Saved, Stepped, Trainer, Validated
 from generator.training.objective import Batch, Draw, loss_of
 from generator.wan.adapter import load_adapter
 from generator.wan.clip import Clip
-from generator.wan.encode import Codec, ControlLatents
-from generator.wan.tiny import tiny_vae
+from generator.wan.encode import ControlLatents
 from generator.wan.weights import Backbone
 
-CLIPS = ClipConfig(frames=9, hop=1)
-CONFIG = TrainingConfig(steps=6, batch=2, rate=1e-3, warmup=2, ema=0.5, precision="no", checkpoint_every=3)
-
-
-@pytest.fixture(scope="module")
-def codec():
-    return Codec(tiny_vae())
-
-
-@pytest.fixture(scope="module")
-def clips(conditions):
-    """Nine vehicles, one clip each, every third of stride 4."""
-    frames = conditions(44).frames["front"]
-    strides = [4 if i % 3 == 2 else 1 for i in range(9)]
-    return [TrainingClip("noise", f"car-{i}", k, frames[i : i + 8 * k + 1 : k]) for i, k in enumerate(strides)]
-
-
-@pytest.fixture(scope="module")
-def cache(clips, codec, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("latents")
-    write_cache(clips, codec, CLIPS, folder)
-    return Cache(folder)
+CONFIG = TrainingConfig(steps=6, batch=2, at_once=2, rate=1e-3, warmup=2, ema=0.5, precision="no", checkpoint_every=3)
 
 
 @pytest.fixture
@@ -60,8 +37,8 @@ def train(cache, backbone_folder, tmp_path):
     return run
 
 
-def test_a_clip_comes_back_from_its_shard(cache, clips, codec):
-    sample = encode(clips[4], codec, CLIPS)
+def test_a_clip_comes_back_from_its_shard(cache, clips, codec, clip_config):
+    sample = encode(clips[4], codec, clip_config)
     again = cache[4]
     assert again.name == sample.name == "noise/car-4/4x1"
     torch.testing.assert_close(again.target, sample.target, rtol=0.01, atol=0.01)
@@ -75,10 +52,10 @@ def test_what_is_learnt_from_is_what_generating_is_told(cache, clips, codec):
     torch.testing.assert_close(taught, told, rtol=0.01, atol=0.01)
 
 
-def test_an_aware_clip_is_given_every_fourth_frame(cache):
+def test_an_aware_clip_is_given_every_fourth_frame(cache, clip_config):
     sample = cache[0]
-    assert CLIPS.given == (0, 4, 8)
-    assert replace(CLIPS, strategy="autoregressive").given == (0,)
+    assert clip_config.given == (0, 4, 8)
+    assert replace(clip_config, strategy="autoregressive").given == (0,)
     assert np.array_equal(sample.given_mask[[0, 4, 8]], sample.reactive_mask[[0, 4, 8]])
     assert np.array_equal(sample.given_mask[[1, 2, 3]], sample.point_mask[[1, 2, 3]])
     assert not torch.equal(sample.given_points, sample.points)
@@ -156,8 +133,8 @@ def test_the_exported_adapter_is_the_average_and_fits_its_backbone(train, tmp_pa
     trainer, _ = train()
     backbone, folder = trainer.export(tmp_path / "out")
     loaded = load_adapter(folder, Backbone.open(backbone).load_transformer())
-    with trainer.averaged() as average:
-        for ours, theirs in zip(average.parameters(), loaded.parameters(), strict=True):
+    with trainer.averaged():
+        for ours, theirs in zip(trainer.adapter.parameters(), loaded.parameters(), strict=True):
             assert torch.equal(ours, theirs)
     assert not torch.equal(next(loaded.parameters()), next(trainer.adapter.parameters()))
 
@@ -169,6 +146,15 @@ def test_everything_can_learn_and_is_exported_with_its_backbone(train, tmp_path)
     load_adapter(folder, opened.load_transformer())
     with pytest.raises(InputError, match="of the same shape, has"):
         load_adapter(folder, trainer.backbone.load_transformer())
+
+
+def test_clips_of_a_step_may_go_one_after_another(train):
+    together, one_by_one = (train(f"by-{n}", steps=3, batch=3, at_once=n) for n in (3, 2))
+    for ours, theirs in zip(together[1], one_by_one[1], strict=True):
+        if isinstance(ours, Stepped):
+            assert ours.loss == pytest.approx(theirs.loss, rel=1e-5)
+    for ours, theirs in zip(together[0].parameters.values(), one_by_one[0].parameters.values(), strict=True):
+        torch.testing.assert_close(ours, theirs, atol=2e-5, rtol=1e-4)
 
 
 def test_every_clip_is_seen_once_in_each_epoch(train):
@@ -187,6 +173,19 @@ def test_arithmetic_in_16_bits_keeps_the_weights_in_32(train):
     assert all(np.isfinite(event.loss) for event in events if isinstance(event, Stepped))
 
 
+def test_a_network_is_not_shared_out_among_one(cache, backbone_folder, tmp_path):
+    with pytest.raises(InputError, match="among several processes, there is one; launch with torchrun"):
+        Trainer(cache, Backbone.open(backbone_folder), CONFIG, tmp_path, sharded=True)
+
+
+def test_looking_takes_a_bounded_time_and_goes_all_over_what_is_held_out(cache, backbone_folder, tmp_path, monkeypatch):
+    for held, looked in ((0, 0), (5, 5), (32, 32), (33, 17), (1000, 32)):
+        monkeypatch.setattr(Cache, "split", lambda self, held=held: ([0, 1], list(range(held))))
+        chosen = Trainer(cache, Backbone.open(backbone_folder), CONFIG, tmp_path / "looks").held_out
+        assert len(chosen) == looked
+        assert held < 33 or chosen[-1] >= 0.9 * held
+
+
 def test_another_training_in_the_same_folder_is_refused(train):
     train(steps=1)
     with pytest.raises(InputError, match=r"holds a training with rate 0.001, not 0.1"):
@@ -201,8 +200,8 @@ def test_a_damaged_checkpoint_is_named(train, tmp_path):
         train(steps=2)
 
 
-def test_a_damaged_cache_is_refused(cache, clips, codec, tmp_path):
-    write_cache(clips[:2], codec, CLIPS, tmp_path)
+def test_a_damaged_cache_is_refused(cache, clips, codec, clip_config, tmp_path):
+    write_cache(clips[:2], codec, clip_config, tmp_path)
     shard = tmp_path / "00000000.tar"
     data = shard.read_bytes()
     start = data.index(b'{"')
@@ -217,7 +216,7 @@ def test_a_damaged_cache_is_refused(cache, clips, codec, tmp_path):
     with pytest.raises(InputError, match="lacks or garbles"):
         Cache(tmp_path)
     with pytest.raises(InputError, match="there are none; give longer drives"):
-        write_cache([], codec, CLIPS, tmp_path)
+        write_cache([], codec, clip_config, tmp_path)
 
 
 def test_impossible_numbers_are_refused():
