@@ -52,7 +52,7 @@ def test_another_attention_says_the_same(resident):
     try:
         torch.testing.assert_close(velocity(attention="_native_math"), resident)
     finally:
-        tiny_transformer().reset_attention_backend()  # it is one for the whole process
+        tiny_transformer().set_attention_backend("native")  # it is one for the whole process
 
 
 @pytest.mark.parametrize(
