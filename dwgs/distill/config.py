@@ -22,7 +22,8 @@ class DistillConfig:
     lidar_weight: float = 0.02
     """Weight of the relative LiDAR depth error, outside reactive masks; 0 leaves it out."""
     symmetry: bool = True
-    """Sides that no frame shows look as the other side does, in the same light; else as the points, and as it comes."""
+    """Sides that no frame shows look as the other side does, in the same light; else as the points. A scan is
+    mirrored anyway."""
     threads: int = 2
     """How many frames are prepared at once, and how many threads composite one."""
     seed: int = 0

@@ -104,7 +104,9 @@ def distill(
         deadline = chosen + PREPARING * (started + config.seconds - chosen)
     prepared_shots = yield from prepare([sights[i] for i in learnt], deadline=deadline)
     shots = dict(sorted(zip(learnt, prepared_shots, strict=False)))
-    imagined = imagine(discs, insertion.vehicle, list(shots.values()), config.threads) if config.symmetry else None
+    imagined = None
+    if config.symmetry and insertion.vehicle.is_complete:  # a scan's far side is mirrored as it is, with its light
+        imagined = imagine(discs, insertion.vehicle, list(shots.values()), config.threads)
     casting = find_casting(list(shots.values()), insertion, shadow, config.shadow_margin)
     begun = discs if imagined is None else imagined.body
     vehicle = Vehicle(begun, shadow, insertion.size, recipe, casting)
@@ -133,13 +135,14 @@ def distill(
     scores = _scores([(shots[i], views[i]) for i in sorted(shots)], asset, config.threads)
     report = summary(scores) | _coverage(taught, insertion, scores) | corrected
     yield Evaluated(steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
+    is_mirrored = imagined is not None or not insertion.vehicle.is_complete
     report |= {
         "kind": "generated" if is_generated else "recorded",
         "gaussians": len(body) + len(shadow),
         "gaussians_body": len(body),
         "gaussians_shadow": len(shadow),
         "gaussians_unseen": int((seen == 0).sum()),
-        COMPLETED: 0.0 if imagined is None else round(mirrored_share(body, seen), 4),
+        COMPLETED: round(mirrored_share(body, seen), 4) if is_mirrored else 0.0,
         "size": [float(side) for side in insertion.size],
         "extent": extent(body),
         "steps": steps,
