@@ -48,8 +48,10 @@ def write_page(out: Path, report: dict[str, Any], recorded: Scene, edited: Scene
         orbit=orbit,
         sides=sides(distill["sectors"]),
         sides_note="How much of the video shows the vehicle from each side, seen from above, front up, and how good "
-        "the asset is from there on held-out frames. Sides without a wedge were never seen: what the asset shows there "
-        f"comes from its points, as do {distill['gaussians_unseen']:,} Gaussians of its body that no frame saw.",
+        "the asset is from there on held-out frames. Sides without a wedge were never seen: there the asset shows "
+        "what its points and its other side let one expect, in the light that the video shows. So do "
+        f"{distill['gaussians_unseen']:,} Gaussians of its body that no frame saw; "
+        f"of {100 * distill['share_completed_by_symmetry']:.0f} % of the body, frames saw the mirror image alone.",
         asset=asset_rows(distill),
         stills="".join(stills(recorded, edited, graph)),
         curves=curves({"vehicle (ROI)": distill["frames"], "background": reconstruct["frames"]}),

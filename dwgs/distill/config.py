@@ -21,6 +21,9 @@ class DistillConfig:
     """How far around the box a shadow is looked for [m]; 0: there is none."""
     lidar_weight: float = 0.02
     """Weight of the relative LiDAR depth error, outside reactive masks; 0 leaves it out."""
+    symmetry: bool = True
+    """Sides that no frame shows look as the other side does, in the same light; else as the points. A scan is
+    mirrored anyway."""
     threads: int = 2
     """How many frames are prepared at once, and how many threads composite one."""
     seed: int = 0

@@ -23,12 +23,15 @@ from dwgs.distill.poses import BoxPoses
 from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
 from dwgs.distill.sun import find_casting, turning
+from dwgs.distill.symmetry import imagine, mirrored_share
 from dwgs.optimize import Checkpoint, Evaluated, Event, Grown, count_steps, fill_time, view_order
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, Trajectory, VehicleAsset
 from dwgs.splat import Splats, View
 
 PREPARING = 0.3
 """Share of the time that is left once the frames are chosen, if time is given, in which they are prepared."""
+COMPLETED = "share_completed_by_symmetry"
+"""Key of a report."""
 SOLID = 0.5
 """Opacity of a Gaussian that counts for the vehicle's extent."""
 
@@ -77,7 +80,8 @@ def distill(
         body = pool.submit(initialize_body, insertion.vehicle, insertion.size, config.gaussians)
         sights = find_sights(scene, frozen, insertion, recipe, config.threads)
         shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
-    yield Grown(0, len(body.result()) + len(shadow))
+    discs = body.result()
+    yield Grown(0, len(discs) + len(shadow))
     poses: BoxPoses | None = BoxPoses(sights, recipe, config.threads)
     if not (recipe.refines_poses or poses.is_rough()):
         poses = None
@@ -100,8 +104,12 @@ def distill(
         deadline = chosen + PREPARING * (started + config.seconds - chosen)
     prepared_shots = yield from prepare([sights[i] for i in learnt], deadline=deadline)
     shots = dict(sorted(zip(learnt, prepared_shots, strict=False)))
+    imagined = None
+    if config.symmetry and insertion.vehicle.is_complete:  # a scan's far side is mirrored as it is, with its light
+        imagined = imagine(discs, insertion.vehicle, list(shots.values()), config.threads)
     casting = find_casting(list(shots.values()), insertion, shadow, config.shadow_margin)
-    vehicle = Vehicle(body.result(), shadow, insertion.size, recipe, casting)
+    begun = discs if imagined is None else imagined.body
+    vehicle = Vehicle(begun, shadow, insertion.size, recipe, casting)
     prepared = time.monotonic()
 
     if config.seconds is None:
@@ -112,7 +120,7 @@ def distill(
         raise InputError(
             f"preparing took {prepared - started:.1f} s of the {config.seconds:g} s given; give more, or fewer frames"
         )
-    learner = Learner(shots, vehicle, poses, recipe, config)
+    learner = Learner(shots, vehicle, poses, imagined, recipe, config)
     steps = yield from learner.run(schedule, checkpoint if config.seconds is None else None)
     body, shadow, casting = vehicle.finish()
     asset = VehicleAsset(body, shadow, np.asarray(insertion.size), insertion.category, casting=casting)
@@ -127,12 +135,14 @@ def distill(
     scores = _scores([(shots[i], views[i]) for i in sorted(shots)], asset, config.threads)
     report = summary(scores) | _coverage(taught, insertion, scores) | corrected
     yield Evaluated(steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
+    is_mirrored = imagined is not None or not insertion.vehicle.is_complete
     report |= {
         "kind": "generated" if is_generated else "recorded",
         "gaussians": len(body) + len(shadow),
         "gaussians_body": len(body),
         "gaussians_shadow": len(shadow),
         "gaussians_unseen": int((seen == 0).sum()),
+        COMPLETED: round(mirrored_share(body, seen), 4) if is_mirrored else 0.0,
         "size": [float(side) for side in insertion.size],
         "extent": extent(body),
         "steps": steps,
@@ -145,7 +155,8 @@ def distill(
         "background_unchanged": frozen.fingerprint() == before,
     }
     told = ("psnr_roi_heldout", "ssim_roi_heldout", "psnr_object_heldout", "sectors", "side_pixels")
-    quality = {key: report[key] for key in (*told, "gaussians_unseen", "extent", "frames_taught")} | corrected
+    told += ("gaussians_unseen", COMPLETED, "extent", "frames_taught")
+    quality = {key: report[key] for key in told} | corrected
     provenance = {"scene": scene.name, "kind": report["kind"], "dwgs": version("dwgs"), "config": asdict(config)}
     provenance |= {"steps": steps, "seconds": report["seconds"], "background": before}
     asset = replace(asset, provenance=provenance, quality=quality, observations=seen)

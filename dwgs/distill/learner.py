@@ -10,6 +10,7 @@ from dwgs.distill.model import Vehicle
 from dwgs.distill.photometric import Photometric, photometric
 from dwgs.distill.poses import BoxPoses
 from dwgs.distill.shots import Shot
+from dwgs.distill.symmetry import EVERY, Imagined, Pull
 from dwgs.optimize import Checkpoint, Event, Step, hold_then_decay, view_order
 from dwgs.optimize.schedule import Pace
 from dwgs.splat import Drawing, RetainedCloud
@@ -29,16 +30,24 @@ class Learner:
         shots: By their number among all sights.
         vehicle: To be changed.
         poses: To be changed; None: they are right.
+        imagined: How it looks where no frame looks; None: nobody knows.
         recipe: How far to step, and by which loss.
         config: What was asked for.
     """
 
     def __init__(
-        self, shots: dict[int, Shot], vehicle: Vehicle, poses: BoxPoses | None, recipe: Recipe, config: DistillConfig
+        self,
+        shots: dict[int, Shot],
+        vehicle: Vehicle,
+        poses: BoxPoses | None,
+        imagined: Imagined | None,
+        recipe: Recipe,
+        config: DistillConfig,
     ) -> None:
         self._shots, self._vehicle, self._poses, self._recipe, self._config = shots, vehicle, poses, recipe, config
         self._cloud = RetainedCloud(vehicle.splats(), config.threads, moves=poses is not None)
         self._pictures = {i: shot.frozen.retain(self._cloud, shot.view) for i, shot in shots.items()}
+        self._pull = None if imagined is None else Pull(imagined, self._cloud)
         self._judges: dict[int, tuple[Drawing, Photometric]] = {}
         self._squared_errors: dict[int, float] = {}
         self._step = 0
@@ -55,7 +64,13 @@ class Learner:
             if self._poses is not None and (pace.step - 1) % max(len(learnt) // SETTLINGS, LEAST_BETWEEN) == 0:
                 self._poses.settle()
                 self._move()
+            pull = self._pull if pace.step % EVERY == 0 else None
+            if pull is not None:
+                self._vehicle.stand(self._shots[learnt[turn]].sight.world_from_vehicle)
+                pull.draw(pace.step // EVERY)
             loss = self._learn(learnt[turn], watches=pace.step > len(learnt))
+            if pull is not None:
+                pull.add()
             factor = hold_then_decay(pace.progress, self._recipe.hold, self._recipe.final)
             self._vehicle.step(factor, is_averaged=pace.progress > 1 - TAIL)
             self._step = pace.step

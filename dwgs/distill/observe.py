@@ -1,6 +1,6 @@
 """Counts by how many frames each Gaussian was seen: what none saw is as it was put there."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import torch
@@ -16,7 +16,17 @@ LEAST_PIXELS = 0.5
 
 
 def observations(shots: Iterable[tuple[Shot, View]], asset: VehicleAsset, threads: int) -> NDArray[np.uint32]:
-    """[body] how many of the frames saw each of the body's Gaussians, where they were compared with it.
+    """[body] how many of the frames saw each of the body's Gaussians, where they were compared with it."""
+    counts = np.zeros(len(asset.body), np.uint32)
+    for pixels in pixels_shown(shots, asset, threads):
+        counts += pixels > LEAST_PIXELS
+    return counts
+
+
+def pixels_shown(
+    shots: Iterable[tuple[Shot, View]], asset: VehicleAsset, threads: int
+) -> Iterator[NDArray[np.float32]]:
+    """[body] of every frame in turn: how many of its compared pixels each Gaussian of the body colours, by weight.
 
     The weight of a Gaussian in an image is the image's derivative by its colour.
     """
@@ -26,7 +36,6 @@ def observations(shots: Iterable[tuple[Shot, View]], asset: VehicleAsset, thread
     leaves = (splats.means, splats.quats, splats.scales, splats.opacities, grey)
     cloud = RetainedCloud(Splats(*(leaf.contiguous().requires_grad_() for leaf in leaves)), threads)
     shadow_means = cloud.splats.means.detach()[len(body) :]
-    counts = np.zeros(len(body), np.uint32)
     for shot, view in shots:
         shadow = asset.shadow_at(shot.sight.world_from_vehicle)
         shadow_means.copy_(torch.from_numpy(shadow.means))
@@ -38,5 +47,4 @@ def observations(shots: Iterable[tuple[Shot, View]], asset: VehicleAsset, thread
         picture.adjoint()
         by_color = cloud.splats.sh.grad
         assert by_color is not None
-        counts += (by_color[: len(body), 0, 0] / SH_C0 > LEAST_PIXELS).numpy()
-    return counts
+        yield (by_color[: len(body), 0, 0] / SH_C0).numpy()

@@ -166,16 +166,19 @@ def _view(stage: Stage, camera: Camera, only: int, has_vehicle: bool) -> View:
     return View(picture.pixels, render_depth(stage, camera, only), share.astype(np.float32))
 
 
-def build_street(seed: int = 0, frames: int = 193, width: int = 720, height: int = 480) -> Street:
+def build_street(
+    seed: int = 0, frames: int = 193, width: int = 720, height: int = 480, sun_azimuth: float = SUN_AZIMUTH
+) -> Street:
     """A street, the traffic in it, and a recording of so many frames at 10 Hz; nothing is rendered yet.
 
-    Raises `InputError` where a size is not positive.
+    The sun stands at ``sun_azimuth`` [rad], counted from ahead to the left. Raises `InputError` where a size is not
+    positive.
     """
     if min(frames, width, height) < 1:
         raise InputError(f"a street has at least one frame and one pixel, got {frames} of {width}x{height}")
     wp.load_module(kernels, device="cpu", recursive=False)
     plan = draw_plan(seed, frames)
     flat = np.cos(SUN_ELEVATION)
-    sun = np.array([flat * np.cos(SUN_AZIMUTH), flat * np.sin(SUN_AZIMUTH), np.sin(SUN_ELEVATION)])
+    sun = np.array([flat * np.cos(sun_azimuth), flat * np.sin(sun_azimuth), np.sin(SUN_ELEVATION)])
     stage = build_stage(plan, sun, seed)
     return Street(frames, width, height, seed, plan, stage, ego_trajectory(frames, np.random.default_rng((seed, 3))))
