@@ -16,7 +16,7 @@ class DistillConfig:
     """Time for preparing and fitting [s]: as many frames teach and the schedule is as long as fits, ``steps`` count no
     more, and what comes out depends on the machine."""
     gaussians: int = 20_000
-    """At most so many on the vehicle's body."""
+    """At most so many on the vehicle's body; fewer in a short time."""
     shadow_margin: float = 2.5
     """How far around the box a shadow is looked for [m]; 0: there is none."""
     lidar_weight: float = 0.02
