@@ -31,7 +31,7 @@ from dwgs.splat import Splats, View
 PREPARING = 0.3
 """Share of the time that is left once the frames are chosen, if time is given, in which they are prepared."""
 PER_SECOND = 1200
-"""Gaussians of the body for each second, if time is given: few take more steps, which pays while there are few steps."""
+"""Gaussians of the body for each second, if time is given: fewer make more steps, which pays while those are few."""
 COMPLETED = "share_completed_by_symmetry"
 """Key of a report."""
 SOLID = 0.5
@@ -79,9 +79,7 @@ def distill(
     recipe = GENERATED if is_generated else RECORDED
 
     with ThreadPoolExecutor(1) as pool:
-        count = min(
-            config.gaussians, config.gaussians if config.seconds is None else math.ceil(PER_SECOND * config.seconds)
-        )
+        count = math.ceil(min(config.gaussians, PER_SECOND * (config.seconds or math.inf)))
         body = pool.submit(initialize_body, insertion.vehicle, insertion.size, count)
         sights = find_sights(scene, frozen, insertion, recipe, config.threads)
         shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)

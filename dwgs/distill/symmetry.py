@@ -53,6 +53,8 @@ EVERY = 12
 """Steps from one imagined view to the next."""
 UNSEEN = 0.006
 """This share of the pixels that frames show of a Gaussian on average halves what imagined views count for it."""
+BLIND = 0.0005
+"""One of which frames show a smaller share than this is never seen."""
 
 
 @dataclass(frozen=True)
@@ -83,12 +85,13 @@ class Pull:
         self._pictures = [cloud.picture(view, layers) for view in imagined.views]
         self._losses: dict[int, tuple[object, RetainedMse]] = {}
         self._weight = torch.ones(HEIGHT, WIDTH)
-        unseen = 1 / (1 + imagined.pixels / (UNSEEN * imagined.pixels.mean()))
-        self._unseen = torch.from_numpy(unseen.astype(np.float32))
+        share = imagined.pixels / imagined.pixels.mean()
+        weights = 1 / (1 + share / UNSEEN), share < BLIND
+        self._early, self._late = (torch.from_numpy(weight.astype(np.float32)) for weight in weights)
         self._pulls: list[Tensor] = []
 
-    def draw(self, turn: int) -> None:
-        """Find out where one view pulls the Gaussians."""
+    def draw(self, turn: int, is_late: bool) -> None:
+        """Find out where one view pulls the Gaussians: all that are hardly seen, later only those that never are."""
         k = turn % len(self._pictures)
         drawing = self._pictures[k].draw()
         if k not in self._losses or self._losses[k][0] is not drawing:
@@ -97,9 +100,9 @@ class Pull:
         drawing.v_depth.zero_()
         drawing.v_alpha.zero_()
         self._pictures[k].adjoint()
-        count = len(self._unseen)
+        weight = self._late if is_late else self._early
         self._pulls = [
-            gradient[:count] * self._unseen.view(-1, *[1] * (gradient.dim() - 1)) for gradient in self._cloud.gradients
+            gradient[: len(weight)] * weight.view(-1, *[1] * (gradient.dim() - 1)) for gradient in self._cloud.gradients
         ]
 
     def add(self) -> None:
