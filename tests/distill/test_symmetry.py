@@ -14,7 +14,7 @@ from dwgs.scene import Camera
 from dwgs.scene.pose import pose
 from dwgs.splat import Splats, View, render
 
-CONFIG = DistillConfig(steps=300, gaussians=1500, shadow_margin=0, threads=1)
+CONFIG = DistillConfig(steps=150, gaussians=1500, shadow_margin=0, threads=1)
 UNSEEN = np.radians([60, 90, 120])
 
 
