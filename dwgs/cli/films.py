@@ -1,6 +1,7 @@
 """Films for people: before, after, and the asset turning."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,8 @@ def orbit(asset: VehicleAsset, on_progress: OnProgress) -> Iterator[np.ndarray]:
 
     cameras = orbit_cameras(asset, ORBIT_FRAMES, 720, 480)
     still = Trajectory(np.zeros(1), np.eye(4)[None])
-    graph = SceneGraph(None, [(asset, still)], backdrop=BACKDROP)
+    at_rest = replace(asset, casting=None)  # there is no street here, and no sun: the shadow lies as it was seen
+    graph = SceneGraph(None, [(at_rest, still)], backdrop=BACKDROP)
     with Renderer(cameras[0].width, cameras[0].height) as renderer:
         for camera in counted(cameras, on_progress):
             yield to_uint8(renderer.render(graph, camera).rgb)
