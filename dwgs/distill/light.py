@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dwgs.distill.appearance import Appearance
+from dwgs.scene.color import linear_from_srgb
 
 SUNS = 96
 """Directions that are tried."""
@@ -53,7 +54,7 @@ class Light:
         sky, slope, sun, gloss, _ = (self.shares[:, None, None] * self.terms).swapaxes(0, 1)
         sunlit = np.maximum(normals @ self.suns.T, 0) @ sun
         irradiance = sky.sum(0) + slope.sum(0) * normals[:, 2:] + sunlit
-        return linear(paints) * np.maximum(irradiance, DARKEST) + gloss.sum(0)
+        return linear_from_srgb(paints) * np.maximum(irradiance, DARKEST) + gloss.sum(0)
 
     def mirrored(self, cosines: NDArray) -> NDArray[np.float64]:
         """Linear colours [N, 3] that surfaces seen under these cosines mirror beyond that."""
@@ -64,7 +65,7 @@ def find_light(paints: NDArray, appearance: Appearance) -> Light:
     """The light under which discs of these paints [N, 3] (sRGB) look as they do."""
     seen = np.flatnonzero(appearance.is_seen)
     seen = seen[:: len(seen) // SAMPLES + 1]
-    albedo, shown = linear(paints[seen]), linear(appearance.colors[seen])
+    albedo, shown = linear_from_srgb(paints[seen]), linear_from_srgb(np.clip(appearance.colors[seen], 0, 1))
     normals, pixels = appearance.normals[seen], appearance.pixels[seen]
     weight = np.minimum(pixels, np.quantile(pixels, 0.9))
     weight = weight / weight.sum()
@@ -96,18 +97,6 @@ def find_light(paints: NDArray, appearance: Appearance) -> Light:
 def fresnel(cosines: NDArray) -> NDArray[np.float64]:
     """Share of what a surface mirrors more because it is seen at this angle."""
     return (1 - np.clip(cosines, 0, 1)) ** 5
-
-
-def linear(srgb: NDArray) -> NDArray[np.float64]:
-    """Linear light from sRGB (IEC 61966-2-1), both in [0, 1]."""
-    srgb = np.clip(np.asarray(srgb, np.float64), 0, 1)
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def encoded(light: NDArray) -> NDArray[np.float64]:
-    """SRGB from linear light, both in [0, 1]."""
-    light = np.clip(light, 0, 1)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 def _srgb_slope(light: NDArray) -> NDArray[np.float64]:

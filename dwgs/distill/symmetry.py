@@ -16,11 +16,12 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from dwgs.distill.appearance import Appearance, look
-from dwgs.distill.light import Light, encoded, find_light, linear
+from dwgs.distill.light import Light, find_light
 from dwgs.distill.observe import pixels_shown
 from dwgs.distill.shots import Shot
 from dwgs.optimize import RetainedMse
 from dwgs.scene import Camera, Gaussians, VehicleAsset, VehiclePoints
+from dwgs.scene.color import linear_from_srgb, srgb_from_linear
 from dwgs.scene.pose import pose
 from dwgs.splat import Layers, RetainedCloud, Splats, View, render
 from dwgs.splat.constants import SH_C0
@@ -136,7 +137,7 @@ def imagine(body: Gaussians, vehicle: VehiclePoints, shots: Sequence[Shot], thre
         view, eye = _view_around(2 * np.pi * ((k * 0.618034) % 1), ELEVATIONS[k % len(ELEVATIONS)], length)
         toward = eye - body.means
         cosines = np.abs((appearance.normals * toward).sum(1)) / np.linalg.norm(toward, axis=1)
-        seen_so = colored(imagined, encoded(linear(colors) + light.mirrored(cosines)))
+        seen_so = colored(imagined, srgb_from_linear(linear_from_srgb(colors) + light.mirrored(cosines)))
         with torch.no_grad():
             image = render(Splats.from_gaussians(seen_so), view, _grey_layers(), threads=threads).rgb
         views.append(view)
@@ -151,8 +152,8 @@ def complete(means: NDArray, paints: NDArray, appearance: Appearance, light: Lig
     lie, or whose mirror images lie, next to it, face as it does and are painted alike.
     """
     diffuse = light.diffuse(paints, appearance.normals)
-    colors, seen = encoded(diffuse), appearance.is_seen
-    unexplained = appearance.colors[seen] - encoded(diffuse[seen] + light.mirrored(appearance.cosines[seen]))
+    colors, seen = srgb_from_linear(diffuse), appearance.is_seen
+    unexplained = appearance.colors[seen] - srgb_from_linear(diffuse[seen] + light.mirrored(appearance.cosines[seen]))
     features = np.hstack([means, TURN * appearance.normals, TINT * paints])
     images = np.hstack([means * MIRROR, TURN * appearance.normals * MIRROR, TINT * paints])
     shown = KDTree(np.concatenate([features[seen], images[seen]]))

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dwgs.scene import Gaussians, VehicleAsset, VehiclePoints
+from dwgs.scene.color import srgb_from_linear
 from dwgs.splat.constants import SH_C0
-from generator.composite.color import srgb_from_linear
 from generator.composite.surface import surface_of
 
 SPREAD, FLATNESS = 0.8, 0.15

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from dwgs.scene import Camera, Frame, Insertion, Scene
+from dwgs.scene.color import linear_from_srgb, srgb_from_linear
 from dwgs.scene.pose import inverse, transform_points
 from dwgs.scene.sky import pixel_rays
-from generator.composite.color import linear_from_srgb, srgb_from_linear
 from generator.composite.environment import look_around
 from generator.composite.light import Lighting
 from generator.composite.occlusion import Recording

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 from dwgs.scene import Frame, LidarSweep, Scene
-from generator.composite.color import linear_from_srgb, luminance
+from dwgs.scene.color import linear_from_srgb, luminance
 from generator.composite.sun import find_sun
 
 ROWS, COLUMNS = 48, 96

@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter
 from scipy.spatial import KDTree
 
 from dwgs.scene import VehiclePoints
-from generator.composite.color import linear_from_srgb, luminance
+from dwgs.scene.color import linear_from_srgb, luminance
 from generator.composite.solid import TYRE_WIDTH, VOXEL, Solid
 
 GLASS, TYRE, RIM, SHADE = ((0.012, 0.014, 0.017), (0.014, 0.014, 0.015), (0.10, 0.10, 0.105), (0.005,) * 3)

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from dwgs.scene import Frame, Scene
+from dwgs.scene.color import linear_from_srgb, luminance
 from dwgs.scene.ground import Ground
-from generator.composite.color import linear_from_srgb, luminance
 
 REACH = 30.0
 """Ground and obstacles so far from the LiDAR [m] count: further away returns are too sparse to cast a shadow."""

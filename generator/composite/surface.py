@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from dwgs.scene import VehiclePoints
-from generator.composite.color import linear_from_srgb
+from dwgs.scene.color import linear_from_srgb
 from generator.composite.paint import paint
 from generator.composite.solid import solid_from_scan
 

@@ -11,6 +11,7 @@ from trimesh.visual.color import uv_to_interpolated_color
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from dwgs.scene import InputError
+from dwgs.scene.color import linear_from_srgb, srgb_from_linear
 
 CABIN = np.array([20, 22, 24], np.uint8)
 """sRGB of what is seen through a window. Glass is drawn as if painted with it: interiors are not modelled."""
@@ -74,8 +75,8 @@ def _paint_pbr(
     rgb, alpha = np.tile(factor[:3], (len(spots), 1)), np.full(len(spots), factor[3])
     if material.baseColorTexture is not None and visual.uv is not None:
         texels = _texture(material.baseColorTexture, spots.interpolate(mesh, visual.uv), name)
-        rgb, alpha = rgb * _linear(texels[:, :3]), alpha * texels[:, 3]
-    rgb, whole = _srgb(rgb), np.ones(len(spots), bool)
+        rgb, alpha = rgb * linear_from_srgb(texels[:, :3]), alpha * texels[:, 3]
+    rgb, whole = srgb_from_linear(rgb), np.ones(len(spots), bool)
     if material.alphaMode == "MASK":
         whole = alpha >= (0.5 if material.alphaCutoff is None else material.alphaCutoff)
     if material.alphaMode == "BLEND":
@@ -113,11 +114,3 @@ def _texture(image: Image.Image, uv: NDArray, name: str) -> NDArray[np.float64]:
 
 def _before_cabin(rgb: NDArray, alpha: NDArray) -> NDArray[np.float64]:
     return alpha[:, None] * rgb + (1 - alpha[:, None]) * (CABIN / 255)
-
-
-def _linear(srgb: NDArray) -> NDArray[np.float64]:
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def _srgb(linear: NDArray) -> NDArray[np.float64]:
-    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
