@@ -1,6 +1,7 @@
 """The whole chain at toy size, as a person runs it."""
 
 import json
+import re
 
 import pytest
 
@@ -41,8 +42,11 @@ def test_the_report_holds_what_programs_ask_for(out):
 
 def test_the_report_is_self_contained(out):
     page = (out / "report.html").read_text()
-    assert "http" not in page.replace("http://www.w3.org", "")
-    assert page.count("data:video/mp4") == 3
+    markup, films = re.subn(r"data:video/mp4;base64,[A-Za-z0-9+/=]+", "", page)
+    markup = re.sub(r"data:image/jpeg;base64,[A-Za-z0-9+/=]+", "", markup)
+    assert films == 3
+    assert len(markup) < 100_000
+    assert "http" not in markup
 
 
 def test_the_edited_drive_differs_from_the_recording_only_inside_its_masks(out):
