@@ -10,6 +10,7 @@ from pathlib import Path
 import av
 import numpy as np
 from av.error import FFmpegError
+from av.video.codeccontext import VideoCodecContext
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
@@ -80,7 +81,7 @@ class LosslessVideo:
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
-        self._lock = threading.Lock()
+        self._lock, self._decoders = threading.Lock(), threading.local()
         if not self.path.is_file():
             raise InputError(f"there is no video '{self.path}'; the folder is incomplete, write it again")
         try:
@@ -90,13 +91,11 @@ class LosslessVideo:
         except (FFmpegError, IndexError) as error:
             raise InputError(f"'{self.path}' is not a video ({error}); write it again") from None
         codec = self._stream.codec_context
-        codec.thread_count = 1  # frames are decoded by whoever wants them
         if codec.name != "magicyuv" or codec.pix_fmt not in ("gbrp", "gray"):
             raise InputError(f"'{self.path}' is {codec.name} {codec.pix_fmt}, not lossless MagicYUV in gbrp or gray")
         if codec.width * codec.height > MAX_PIXELS:
             raise InputError(f"'{self.path}' claims frames of {codec.width}x{codec.height}, more than can be meant")
         self.width, self.height = codec.width, codec.height
-        self._format = "gray" if codec.pix_fmt == "gray" else "rgb24"
         if len(self._stamps) != self._stream.frames:  # as the header says, set when the last one was written
             raise InputError(f"'{self.path}' is cut short after {len(self._stamps)} frames; write it again")
 
@@ -106,15 +105,24 @@ class LosslessVideo:
     def __getitem__(self, index: int) -> NDArray[np.uint8]:
         """Frame ``index``: [H, W, 3] RGB or [H, W] grey."""
         stamp = self._stamps[index]
-        with self._lock:
-            try:
+        try:
+            with self._lock:
                 self._container.seek(stamp, stream=self._stream)
                 packet = next(p for p in self._container.demux(self._stream) if p.pts == stamp)
-                if _is_whole(bytes(packet)):
-                    return np.asarray(packet.decode()[0].to_ndarray(format=self._format), np.uint8)
-            except (FFmpegError, StopIteration, IndexError):
-                pass
+            if _is_whole(bytes(packet)):
+                return np.asarray(self._decoder.decode(packet)[0].to_ndarray(), np.uint8)  # planes GBR to RGB
+        except (FFmpegError, StopIteration, IndexError):
+            pass
         raise InputError(f"frame {index} of '{self.path}' is damaged; write the video again")
+
+    @property
+    def _decoder(self) -> VideoCodecContext:
+        """This thread's own: frames stand alone, so several are decoded at once."""
+        if not hasattr(self._decoders, "own"):
+            self._decoders.own = VideoCodecContext.create("magicyuv", "r")
+            self._decoders.own.thread_count = 1
+            self._decoders.own.options = {"max_pixels": str(MAX_PIXELS)}
+        return self._decoders.own
 
 
 def _signed(packet: av.Packet, stream: VideoStream) -> av.Packet:
