@@ -69,20 +69,20 @@ def _mirrored(points, colors, normals):
 def _thinned(points, colors, candidates, count):
     """One point per voxel, the first, with the mean colour; voxels as small as ``count`` allows."""
 
-    def occupied(voxel: float) -> tuple[NDArray, NDArray]:
-        cells = np.floor(points[candidates] / voxel).astype(np.int64) + (1 << 20)
-        keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
-        return np.unique(keys, return_index=True, return_inverse=True)[1:]
+    x, y, z = points[candidates].T.copy()
+
+    def cells(voxel: float) -> NDArray:
+        i, j, k = (np.floor(a / voxel).astype(np.int64) + (1 << 20) for a in (x, y, z))
+        return (i << 42) | (j << 21) | k
 
     if len(candidates) <= count:
         return candidates, colors[candidates]
     low, high = 1e-3, 1.0
     for _ in range(12):
         middle = (low * high) ** 0.5
-        low, high = (middle, high) if len(occupied(middle)[0]) > count else (low, middle)
-    first, voxel_of_point = occupied(high)
-    sums = np.zeros((len(first), 3))
-    np.add.at(sums, voxel_of_point, colors[candidates])
+        low, high = (middle, high) if len(np.unique(cells(middle))) > count else (low, middle)
+    _, first, voxel_of_point = np.unique(cells(high), return_index=True, return_inverse=True)
+    sums = np.stack([np.bincount(voxel_of_point, channel) for channel in colors[candidates].T], 1)
     return candidates[first], sums / np.bincount(voxel_of_point)[:, None]
 
 

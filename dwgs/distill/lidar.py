@@ -87,8 +87,7 @@ def _in_window(points: NDArray, camera: Camera, region: Region, is_bound: bool) 
     window = region.window
     camera = window.camera(camera)
     pixels, depth = camera.project(points[camera.may_see(points)])
-    with np.errstate(invalid="ignore"):
-        inside = (depth > NEAR) & (pixels >= 0).all(1) & (pixels < (window.width, window.height)).all(1)
+    inside = (depth > NEAR) & camera.contains(pixels)
     column, row = pixels[inside].astype(int).T
     depth = depth[inside]
     allowed = (region.supervised & ~region.reactive)[row, column]

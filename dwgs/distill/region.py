@@ -105,9 +105,7 @@ def visible_fraction(camera: Camera, world_from_vehicle: NDArray[np.float64], in
     points = insertion.vehicle.points
     points = points[:: len(points) // SAMPLES + 1]
     pixels, depth = camera.project(transform_points(world_from_vehicle, points))
-    with np.errstate(invalid="ignore"):
-        inside = (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
-    return float((inside & (depth > NEAR)).mean())
+    return float((camera.contains(pixels) & (depth > NEAR)).mean())
 
 
 def is_inside(trajectory: Trajectory, time: float, boxes: Sequence[tuple[NDArray[np.float64], NDArray]]) -> bool:
@@ -127,16 +125,14 @@ def is_inside(trajectory: Trajectory, time: float, boxes: Sequence[tuple[NDArray
 def covered(camera: Camera, world_from_vehicle: NDArray, insertion: Insertion) -> NDArray[np.bool_]:
     """Pixels [h, w] that the vehicle's points cover, gaps between them closed."""
     points = insertion.vehicle.points
-    points = points[:: len(points) // DENSE + 1]
-    x, y, depth = (transform_points(camera.camera_from_world @ world_from_vehicle, points) @ camera.K.T).T
-    in_front = depth > NEAR
-    column, row = (np.floor(a[in_front] / depth[in_front]).astype(int) for a in (x, y))
-    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    column, row = column[inside], row[inside]
+    pixels, depth = camera.project(transform_points(world_from_vehicle, points[:: len(points) // DENSE + 1]))
+    column, row = np.floor(pixels[camera.contains(pixels) & (depth > NEAR)]).astype(int).T
     hit = np.zeros((camera.height, camera.width), bool)
     hit[row, column] = True
-    closed = np.asarray(binary_fill_holes(binary_closing(np.pad(hit, GAP), iterations=GAP)), bool)
-    return closed[GAP:-GAP, GAP:-GAP]
+    if hit.any():
+        part = _window_around(hit, 0).of(hit)
+        part[:] = binary_fill_holes(binary_closing(np.pad(part, GAP), iterations=GAP))[GAP:-GAP, GAP:-GAP]
+    return hit
 
 
 def _traffic(camera: Camera, tracks: Sequence[Track]) -> Iterator[tuple[NDArray[np.bool_], float]]:

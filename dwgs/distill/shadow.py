@@ -47,15 +47,14 @@ def _is_exposed(places: NDArray, size: NDArray, sights: Sequence[Sight]) -> NDAr
         if sight.held_out:
             continue
         region, window = sight.region, sight.region.window
+        inside = window.camera(sight.camera)
         pixels, depth = sight.camera.project(transform_points(sight.world_from_vehicle, places))
-        with np.errstate(invalid="ignore"):
-            in_image = (pixels >= 0).all(1) & (pixels < (sight.camera.width, sight.camera.height)).all(1)
-            pixels = pixels - (window.x, window.y)
-            in_window = (pixels >= 0).all(1) & (pixels < (window.width, window.height)).all(1) & (depth > NEAR)
-        could += in_image & (depth > NEAR)
+        could += sight.camera.contains(pixels) & (depth > NEAR)
+        pixels -= (window.x, window.y)
+        in_window = inside.contains(pixels) & (depth > NEAR)
         column, row = np.floor(pixels[in_window]).astype(int).T
         mask = region.reactive if region.reactive.any() else region.supervised
         does[in_window] += mask[row, column]
-        box = box_silhouette(window.camera(sight.camera), sight.world_from_vehicle, size)
+        box = box_silhouette(inside, sight.world_from_vehicle, size)
         beside[in_window] |= (mask & ~box)[row, column]
     return beside & (does >= could / 2)

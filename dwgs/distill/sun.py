@@ -74,7 +74,6 @@ def find_casting(shots: Sequence[Shot], insertion: Insertion, shadow: Gaussians,
     if best < LIKENESS:
         return None
     sun = np.array([*-slope, 1.0]) / np.hypot(1.0, np.hypot(*slope))
-    points = _above_ground(insertion)
     tree = KDTree(points[:, :2] + points[:, 2:] * slope)
     nearest = tree.query(shadow.means[:, :2], min(NEIGHBOURS, len(points)))[1].reshape(len(shadow), -1)
     heights = np.median(points[nearest, 2], axis=1).astype(np.float32)
@@ -116,8 +115,7 @@ def _darkness(shots: Sequence[Shot], places: NDArray, insertion: Insertion) -> N
         sight = shot.sight
         region, camera = sight.region, sight.region.window.camera(sight.camera)
         pixels, depth = camera.project(transform_points(sight.world_from_vehicle, places))
-        with np.errstate(invalid="ignore"):
-            inside = (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1) & (depth > 0)
+        inside = camera.contains(pixels) & (depth > 0)
         column, row = np.floor(pixels[inside]).astype(int).T
         told = region.supervised | (region.bare & region.reactive.any())
         told &= ~covered(camera, sight.world_from_vehicle, insertion)

@@ -101,7 +101,7 @@ def _seen(
     columns, rows = int(camera.width / cell) + 1, int(camera.height / cell) + 1
     front = np.full(rows * columns, np.inf)
     cast_uv, cast_depth = _project(camera, transform_points(camera_from_vehicle, casters))
-    drawn = (cast_depth > NEAR) & (cast_uv >= 0).all(1) & (cast_uv < (camera.width, camera.height)).all(1)
+    drawn = (cast_depth > NEAR) & camera.contains(cast_uv)
     column, row = (cast_uv[drawn] / cell).astype(int).T
     np.minimum.at(front, row * columns + column, cast_depth[drawn])
     column, row = (uv[seen] / cell).astype(int).T

@@ -50,6 +50,12 @@ class Camera:
             pixels = (p @ self.K.T)[:, :2] / depth[:, None]
         return pixels, depth
 
+    def contains(self, pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """[N] which pixels [N, 2] lie in the image; those that are no numbers do not."""
+        x, y = pixels.T
+        with np.errstate(invalid="ignore"):
+            return (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
+
     def may_see(self, points: ArrayLike, margin: float = 1.0) -> NDArray[np.bool_]:
         """[N] which world points [N, 3] may fall into the image or ``margin`` [px] around it: quick, in float32."""
         pixels_from_world = (self.K @ self.camera_from_world[:3]).astype(np.float32)

@@ -65,14 +65,18 @@ def _convex_hull(points: NDArray[np.float64]) -> NDArray[np.float64]:
     positive (Andrew's monotone chain)."""
     points = np.unique(points, axis=0)
 
-    def chain(ordered: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        kept: list[NDArray[np.float64]] = []
-        for p in ordered:
-            while len(kept) > 1 and np.linalg.det(np.stack([kept[-1] - kept[-2], p - kept[-2]])) <= 0:
+    def chain(ordered: list[list[float]]) -> list[list[float]]:
+        kept: list[list[float]] = []
+        for x, y in ordered:
+            while len(kept) > 1:
+                (x0, y0), (x1, y1) = kept[-2:]
+                if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
+                    break
                 kept.pop()
-            kept.append(p)
+            kept.append([x, y])
         return kept
 
     if len(points) < 3:
         return points
-    return np.array(chain(points)[:-1] + chain(points[::-1])[:-1])
+    ordered = points.tolist()
+    return np.array(chain(ordered)[:-1] + chain(ordered[::-1])[:-1])

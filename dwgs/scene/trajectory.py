@@ -1,6 +1,7 @@
 """Where a vehicle is, and when."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,14 +55,18 @@ class Trajectory:
             return np.broadcast_to(self.world_from_vehicle[0], (*time.shape, 4, 4)).copy()
         i = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2)
         s = (time - self.times[i]) / (self.times[i + 1] - self.times[i])
-        before, after = self.world_from_vehicle[i], self.world_from_vehicle[i + 1]
-        quats = quat_from_rotation(before[..., :3, :3]), quat_from_rotation(after[..., :3, :3])
-        positions = before[..., :3, 3], after[..., :3, 3]
-        return pose(rotation_from_quat(slerp(*quats, s)), positions[0] + s[..., None] * (positions[1] - positions[0]))
+        quat = slerp(self._quats[i], self._quats[i + 1], s)
+        before, after = self.world_from_vehicle[i, :3, 3], self.world_from_vehicle[i + 1, :3, 3]
+        return pose(rotation_from_quat(quat), before + s[..., None] * (after - before))
 
     def moved(self, world_from_world: NDArray[np.float64]) -> "Trajectory":
         """The same motion carried elsewhere by a rigid transform [4, 4] of the world."""
         return Trajectory(self.times, world_from_world @ self.world_from_vehicle)
+
+    @cached_property
+    def _quats(self) -> NDArray[np.float64]:
+        """[T, 4] rotations."""
+        return quat_from_rotation(self.world_from_vehicle[:, :3, :3])
 
     @property
     def length(self) -> float:

@@ -105,7 +105,7 @@ def _looks(scene: Scene, frames: list[Frame]) -> list[_Look]:
         height = points[:, 2] - relief.height(points[:, :2])
         floor = points[np.abs(height) < FLAT]
         uv, depth = camera.project(floor)
-        visible = (depth > 1) & (uv >= 0).all(1) & (uv < (camera.width, camera.height)).all(1)
+        visible = (depth > 1) & camera.contains(uv)
         tall = (height > LOW) & (height < HIGH)
         if not tall.any():
             continue

@@ -98,8 +98,7 @@ def _hits(scene: Scene, track: Track, sweep: LidarSweep) -> _Hits:
         world_from_vehicle = track.trajectory.at(frame.camera.time)
         pixels, depth = frame.camera.project(transform_points(world_from_vehicle, points))
         late = np.abs(times - frame.camera.time)
-        size = (frame.camera.width, frame.camera.height)
-        seen = (depth > 0) & (pixels >= 0).all(1) & (pixels < size).all(1) & (late < gap) & (late < SIMULTANEOUS)
+        seen = (depth > 0) & frame.camera.contains(pixels) & (late < gap) & (late < SIMULTANEOUS)
         if seen.any():
             between = _between(sweep, frame.camera.position, world_from_vehicle[:3, 3], track.size)
             seen[seen] = ~_is_hidden(frame.camera, between, pixels[seen], depth[seen])
@@ -125,7 +124,7 @@ def _is_hidden(camera: Camera, others: NDArray, pixels: NDArray, depth: NDArray)
     """Whether one of the others is in front of each point [P], at the resolution that a sweep has."""
     cell = camera.width / _OCCLUSION_CELLS
     others, other_depth = camera.project(others)
-    ahead = (other_depth > 0) & (others >= 0).all(1) & (others < (camera.width, camera.height)).all(1)
+    ahead = (other_depth > 0) & camera.contains(others)
     nearest = np.full((int(camera.height / cell) + 1, int(camera.width / cell) + 1), np.inf)
     column, row = (others[ahead] / cell).astype(np.int64).T
     np.minimum.at(nearest, (row, column), other_depth[ahead])

@@ -103,8 +103,7 @@ def require_visible(scene: Scene, insertion: Insertion) -> None:
     for frame in frames:
         camera = frame.camera
         pixels, depths = camera.project(transform_points(insertion.trajectory.at(camera.time), points))
-        inside = (depths > NEAR) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
-        if inside.any():
+        if (camera.contains(pixels) & (depths > NEAR)).any():
             return
         if (depth := float(depths.mean())) > farthest:
             farthest, index = depth, frame.index

@@ -19,8 +19,7 @@ class PointProjector:
     ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """The point image [H, W, 3] and the point mask [H, W]; in each pixel the nearest point wins."""
         pixels, depths = camera.project(transform_points(world_from_vehicle, self._points))
-        size = (camera.width, camera.height)
-        inside = np.flatnonzero((depths > 0) & (pixels >= 0).all(1) & (pixels < size).all(1))
+        inside = np.flatnonzero((depths > 0) & camera.contains(pixels))
         far_first = inside[np.argsort(-depths[inside], kind="stable")]
         column, row = pixels[far_first].astype(np.int64).T
         image = np.full((camera.height, camera.width, 3), GREY, np.uint8)

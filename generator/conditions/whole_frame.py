@@ -144,5 +144,4 @@ def _project(camera: Camera, points: NDArray[np.float32]) -> tuple[NDArray[np.fl
     """(u, v, depth) [P, 3] of points in the world, and which lie in the image [P]."""
     uv, depth = camera.project(points)
     pixels = np.concatenate([uv, depth[:, None]], 1).astype(np.float32)
-    uv = pixels[:, :2]
-    return pixels, (depth > NEAR) & (uv >= 0).all(1) & (uv < (camera.width, camera.height)).all(1)
+    return pixels, (depth > NEAR) & camera.contains(pixels[:, :2])
