@@ -10,6 +10,7 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dwgs.distill.config import GENERATED, RECORDED, DistillConfig
 from dwgs.distill.coverage import Coverage
@@ -26,12 +27,15 @@ from dwgs.distill.sun import find_casting, turning
 from dwgs.distill.symmetry import imagine, mirrored_share
 from dwgs.optimize import Checkpoint, Evaluated, Event, Grown, count_steps, fill_time, view_order
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, Trajectory, VehicleAsset
+from dwgs.scene.pose import inverse
 from dwgs.splat import Splats, View
 
 PREPARING = 0.3
 """Share of the time that is left once the frames are chosen, if time is given, in which they are prepared."""
-PER_SECOND = 1200
+PER_SECOND = 900
 """Gaussians of the body for each second, if time is given: fewer make more steps, which pays while those are few."""
+EYES = 12
+"""So many frames, spread over the clip, say which sides they see."""
 COMPLETED = "share_completed_by_symmetry"
 """Key of a report."""
 SOLID = 0.5
@@ -78,10 +82,10 @@ def distill(
     is_generated = any(frame.load_reactive_mask is not None for frame in scene.all_frames())
     recipe = GENERATED if is_generated else RECORDED
 
+    sights = find_sights(scene, frozen, insertion, recipe, config.threads)
+    count = math.ceil(min(config.gaussians, PER_SECOND * (config.seconds or math.inf)))
     with ThreadPoolExecutor(1) as pool:
-        count = math.ceil(min(config.gaussians, PER_SECOND * (config.seconds or math.inf)))
-        body = pool.submit(initialize_body, insertion.vehicle, insertion.size, count)
-        sights = find_sights(scene, frozen, insertion, recipe, config.threads)
+        body = pool.submit(initialize_body, insertion.vehicle, insertion.size, count, _eyes(sights))
         shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
     discs = body.result()
     yield Grown(0, len(discs) + len(shadow))
@@ -165,6 +169,12 @@ def distill(
     asset = replace(asset, provenance=provenance, quality=quality, observations=seen)
     trajectory = insertion.trajectory if poses is None else poses.refined(insertion.trajectory)
     return Distilled(asset, trajectory, report)
+
+
+def _eyes(sights: list[Sight]) -> list[NDArray[np.float64]]:
+    """[3] in the vehicle's frame: where cameras look from, spread over the clip."""
+    spread = np.unique(np.linspace(0, len(sights) - 1, EYES).astype(int))
+    return [(inverse(sights[i].world_from_vehicle) @ sights[i].camera.world_from_camera)[:3, 3] for i in spread]
 
 
 def _scores(shots: list[tuple[Shot, View]], asset: VehicleAsset, threads: int) -> list[Score]:

@@ -1,9 +1,12 @@
 """Where the Gaussians of the body begin."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from dwgs.distill.exposure import is_exposed, is_seen
 from dwgs.scene import Gaussians, InputError, VehiclePoints
 from dwgs.scene.pose import quat_from_rotation
 from dwgs.splat.constants import SH_C0
@@ -14,13 +17,16 @@ MIRROR = np.array([1, -1, 1], np.float32)
 """Left is right."""
 MIRROR_DISTANCE = 0.08
 """A mirrored point further [m] than this from every measured one fills a side that nobody saw."""
+COARSER = 2.0
+"""Discs that no camera sees lie so many times as far apart."""
 
 
-def initialize_body(vehicle: VehiclePoints, size: NDArray, count: int) -> Gaussians:
+def initialize_body(vehicle: VehiclePoints, size: NDArray, count: int, eyes: Sequence[NDArray]) -> Gaussians:
     """Discs on the vehicle's surface, at most ``count``, spaced evenly, with colours of degree 1.
 
-    A scan is mirrored about the plane y = 0 where only one side was seen. Points outside the box, grown by
-    10 %, are dropped; `InputError` where that leaves none.
+    A scan is mirrored about the plane y = 0 where only one side was seen. Points that show from no side, as of seats
+    and the insides of doors, are left out, and those outside the box, grown by 10 %. What none of the ``eyes`` [3] in
+    the vehicle's frame sees gets fewer discs. Raises `InputError` where all points lie outside the box.
     """
     points, colors, normals = vehicle.points, vehicle.colors / np.float32(255), vehicle.normals
     if not vehicle.is_complete:
@@ -31,7 +37,9 @@ def initialize_body(vehicle: VehiclePoints, size: NDArray, count: int) -> Gaussi
             f"a vehicle's points lie in its box of {np.round(size, 2)} m about the origin, "
             f"none of {len(points)} does; check the unit and the origin of the points"
         )
-    chosen, colors = _thinned(points, colors, np.flatnonzero(inside), count)
+    inside[inside] = is_exposed(points[inside])
+    candidates = np.flatnonzero(inside)
+    chosen, colors = _thinned(points, colors, candidates, is_seen(points[candidates], eyes), count)
     points = points[chosen]
 
     tree = KDTree(points)
@@ -66,14 +74,13 @@ def _mirrored(points, colors, normals):
     return points, colors, normals
 
 
-def _thinned(points, colors, candidates, count):
+def _thinned(points, colors, candidates, seen, count):
     """One point per voxel, the first, with the mean colour; voxels as small as ``count`` allows."""
-
-    x, y, z = points[candidates].T.copy()
+    x, y, z = points[candidates].T / np.where(seen, 1, COARSER)
 
     def cells(voxel: float) -> NDArray:
-        i, j, k = (np.floor(a / voxel).astype(np.int64) + (1 << 20) for a in (x, y, z))
-        return (i << 42) | (j << 21) | k
+        i, j, k = (np.floor(a / voxel).astype(np.int64) + (1 << 19) for a in (x, y, z))
+        return (seen.astype(np.int64) << 60) | (i << 40) | (j << 20) | k
 
     if len(candidates) <= count:
         return candidates, colors[candidates]
