@@ -111,9 +111,7 @@ def run(street: Street, race: Race, progress: Progress) -> list[Metric]:
     crop = run_rival("crop_loop", Crops(learnt, config.threads), lambda splats: flat_psnr(splats, flat, judged))
     frames = FullFrames(learnt, background, config.threads)
     field = run_rival("field_loop", frames, lambda splats: layered_psnr(splats, judged))
-    return (
-        metrics + _metrics("crop_loop", crop, ours) + _metrics("field_loop", field, ours) + _estimate(crop, field, ours)
-    )
+    return metrics + _metrics("crop_loop", crop, ours) + _metrics("field_loop", field, ours)
 
 
 def chase(loop: Loop, judge: Callable[[], float], goal: float, budget: float, progress: Progress, title: str) -> Finish:
@@ -170,16 +168,3 @@ def _metrics(name: str, finish: Finish, ours: float) -> list[Metric]:
         Metric(f"distill.street.{name}.gaussians", finish.gaussians, ""),
     ]
 
-
-def _estimate(crop_loop: Finish, field_loop: Finish, ours: float) -> list[Metric]:
-    """What the field's loop would have needed, where it ran out of time: the crop's steps at its own pace.
-
-    Whatever they see, both make the same steps.
-    """
-    if field_loop.is_reached or not crop_loop.is_reached:
-        return []
-    seconds = crop_loop.steps * field_loop.step
-    return [
-        Metric("distill.street.speedup_over_field_loop_estimated", seconds / ours, "x"),
-        Metric("distill.street.field_loop.seconds_to_quality_estimated", seconds, "s"),
-    ]

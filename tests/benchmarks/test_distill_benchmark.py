@@ -190,17 +190,6 @@ def test_a_rival_in_time_has_a_time_and_one_too_late_a_bound():
     assert "distill.street.speedup_over_crop_loop" not in keys
 
 
-def test_the_field_is_estimated_only_from_a_crop_that_arrived():
-    arrived = distill_rivals.Finish(9.0, True, 40.0, 500, 9000, 0.018)
-    late = distill_rivals.Finish(60.0, False, 30.0, 200, 9000, 0.3)
-    (speedup, seconds) = distill_rivals._estimate(arrived, late, 25.0)
-    assert seconds.value == pytest.approx(150)
-    assert speedup.value == pytest.approx(6)
-    assert speedup.key.endswith("_estimated")
-    assert distill_rivals._estimate(late, late, 25.0) == []
-    assert distill_rivals._estimate(arrived, arrived, 25.0) == []
-
-
 @pytest.mark.slow
 def test_ours_and_the_rivals_race_for_the_same_quality(street):
     race = distill_rivals.Race(8.0, 1.0, 300, ReconstructConfig(steps=4, gaussians=2000, grown=100))
