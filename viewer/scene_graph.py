@@ -34,12 +34,13 @@ class SceneGraph:
     def clouds_at(self, time: float) -> list[tuple[Gaussians, NDArray[np.float64]]]:
         """Every cloud there is at ``time`` [s], with its ``world_from_cloud`` [4, 4].
 
-        The clouds are the very objects of the background and the assets: a renderer knows them again. A shadow that
-        the sun casts anew is another at every heading.
+        The clouds are the very objects of the background and the assets: a renderer knows them again. A vehicle that
+        the sun lights anew is another at every heading, and so is its shadow.
         """
         clouds = [] if self.background is None else [(self.background.gaussians, np.eye(4))]
         for asset, trajectory in self.actors:
             if trajectory.covers(time):
                 world_from_vehicle = trajectory.at(time)
-                clouds += [(asset.shadow_at(world_from_vehicle), world_from_vehicle), (asset.body, world_from_vehicle)]
+                parts = asset.shadow_at(world_from_vehicle), asset.body_at(world_from_vehicle)
+                clouds += [(part, world_from_vehicle) for part in parts]
         return [(cloud, world_from_cloud) for cloud, world_from_cloud in clouds if len(cloud)]

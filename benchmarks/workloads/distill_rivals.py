@@ -167,4 +167,3 @@ def _metrics(name: str, finish: Finish, ours: float) -> list[Metric]:
         Metric(f"distill.street.{name}.step", 1e3 * finish.step, "ms"),
         Metric(f"distill.street.{name}.gaussians", finish.gaussians, ""),
     ]
-

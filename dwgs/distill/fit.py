@@ -129,8 +129,9 @@ def distill(
         )
     learner = Learner(shots, vehicle, poses, imagined, recipe, config)
     steps = yield from learner.run(schedule, checkpoint if config.seconds is None else None)
-    body, shadow, casting = vehicle.finish()
-    asset = VehicleAsset(body, shadow, np.asarray(insertion.size), insertion.category, casting=casting)
+    body, shadow, casting, shading = vehicle.finish()
+    size = np.asarray(insertion.size)
+    asset = VehicleAsset(body, shadow, size, insertion.category, casting=casting, shading=shading)
     fitted = time.monotonic()
 
     taught = [sights[i] for i in shots]
@@ -179,11 +180,12 @@ def _eyes(sights: list[Sight]) -> list[NDArray[np.float64]]:
 
 def _scores(shots: list[tuple[Shot, View]], asset: VehicleAsset, threads: int) -> list[Score]:
     """Of every frame, held-out and learnt."""
-    body = Splats.from_gaussians(asset.body)
 
-    def judge(shot: tuple[Shot, View]) -> Score:
-        shadow = Splats.from_gaussians(asset.shadow_at(shot[0].sight.world_from_vehicle))
-        return score(*shot, body, shadow, threads=1)[0]
+    def judge(look: tuple[Shot, View]) -> Score:
+        world_from_vehicle = look[0].sight.world_from_vehicle
+        body = Splats.from_gaussians(asset.body_at(world_from_vehicle))
+        shadow = Splats.from_gaussians(asset.shadow_at(world_from_vehicle))
+        return score(*look, body, shadow, threads=1)[0]
 
     with ThreadPoolExecutor(threads) as pool:  # a frame for each thread
         return list(pool.map(judge, shots))

@@ -31,14 +31,13 @@ def initialize_body(vehicle: VehiclePoints, size: NDArray, count: int, eyes: Seq
     points, colors, normals = vehicle.points, vehicle.colors / np.float32(255), vehicle.normals
     if not vehicle.is_complete:
         points, colors, normals = _mirrored(points, colors, normals)
-    inside = (np.abs(points) <= 0.55 * np.asarray(size)).all(1)
-    if not inside.any():
+    candidates = np.flatnonzero((np.abs(points) <= 0.55 * np.asarray(size)).all(1))
+    if len(candidates) == 0:
         raise InputError(
             f"a vehicle's points lie in its box of {np.round(size, 2)} m about the origin, "
             f"none of {len(points)} does; check the unit and the origin of the points"
         )
-    inside[inside] = is_exposed(points[inside])
-    candidates = np.flatnonzero(inside)
+    candidates = candidates[is_exposed(points[candidates])]
     chosen, colors = _thinned(points, colors, candidates, is_seen(points[candidates], eyes), count)
     points = points[chosen]
 

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from dwgs.distill.config import Recipe
 from dwgs.optimize import SplatParameters, Together
-from dwgs.scene import Casting, Gaussians
+from dwgs.optimize.adam import EPSILON
+from dwgs.scene import Casting, Gaussians, Shading
 from dwgs.splat import Splats
 
 BODY_MARGIN = 0.15
@@ -22,6 +23,8 @@ BODY_SCALES = (0.15, 0.15, 0.15)
 """Largest standard deviations of a body Gaussian [m]: beyond it lies fog."""
 SHADOW_SCALES = (0.3, 0.3, 0.02)
 """Largest standard deviations of a shadow Gaussian [m]: it stays flat."""
+SHADING_RATE = 0.1
+"""How far colours learn to follow the sun in a step."""
 CUT = 1 / 255
 """A Gaussian of lower opacity is never drawn."""
 
@@ -34,7 +37,8 @@ class Vehicle:
         shadow: Where it begins, as it lies at rest.
         size: [3] of the box [m].
         recipe: Rates.
-        casting: How the shadow is cast; None: it turns with the vehicle.
+        casting: How the shadow is cast, and where the body's colours learn to follow the sun; None: it turns with the
+            vehicle, and they stay.
     """
 
     def __init__(
@@ -51,9 +55,11 @@ class Vehicle:
         ]
         self._together = Together(self._parts)
         self._casting, self._body = casting, len(body)
+        self._slope, self._slopes = np.zeros(2), np.zeros((2, 2))
         if casting is not None:
             self._heights = torch.from_numpy(casting.heights)[:, None]
-        self._slope = np.zeros(2)
+            self._by_slope = torch.zeros(len(body), 2, 3, requires_grad=True)
+            self._shader = torch.optim.Adam([self._by_slope], betas=recipe.body.betas, eps=EPSILON)
         self._average: list[Tensor] = []
         self._averaged = 0
 
@@ -65,20 +71,33 @@ class Vehicle:
         return self._together.splats()
 
     def stand(self, world_from_vehicle: NDArray[np.float64]) -> None:
-        """Let the shadow lie as it does where the vehicle stands like this, until the next step."""
+        """Let the sun light the body and cast its shadow as where it stands like this, until the next step."""
         if self._casting is not None:
-            slope = self._casting.slope_at(world_from_vehicle)
-            if (slope != self._slope).any():
-                places = self.splats().means.detach()[self._body :, :2]
-                places.addcmul_(self._heights, torch.from_numpy(slope - self._slope).float())
-                self._slope = slope
+            self._turn(self._casting.slope_at(world_from_vehicle))
+
+    def _turn(self, slope: NDArray[np.float64]) -> None:
+        """See the sun from another heading."""
+        if (slope != self._slope).any():
+            turn = torch.from_numpy(slope - self._slope).float()
+            self.splats().means.detach()[self._body :, :2].addcmul_(self._heights, turn)
+            self.splats().sh.detach()[: self._body, 0] += torch.einsum("nkc,k->nc", self._by_slope.detach(), turn)
+            self._slope = slope
+            self._slopes = np.stack([np.minimum(self._slopes[0], slope), np.maximum(self._slopes[1], slope)])
 
     def step(self, factor: float, is_averaged: bool) -> None:
         """One step of Adam, rates times ``factor``; ``is_averaged`` adds it to the mean of `finish`."""
+        if self._slope.any():
+            v_sh, slope = self.splats().sh.grad, torch.from_numpy(self._slope).float()
+            self._turn(np.zeros(2))
+            if v_sh is not None:
+                self._by_slope.grad = v_sh[: self._body, :1] * slope[:, None]
+                self._shader.param_groups[0]["lr"] = factor * SHADING_RATE
+                self._shader.step()
         self._together.step(factor)
-        self._slope = np.zeros(2)
         if is_averaged:
             flats = [part.flat() for part in self._parts]
+            if self._casting is not None:
+                flats.append(self._by_slope.detach().clone())
             self._averaged += 1
             for average, flat in zip(self._average, flats, strict=False):
                 average.lerp_(flat, 1 / self._averaged)
@@ -87,19 +106,28 @@ class Vehicle:
     def state_dict(self) -> dict[str, Any]:
         """Everything that further steps and the result depend on."""
         parts = [part.state_dict() for part in self._parts]
-        return {"parts": parts, "average": self._average, "averaged": self._averaged}
+        state = {"parts": parts, "average": self._average, "averaged": self._averaged}
+        if self._casting is not None:
+            slopes, adam = torch.from_numpy(self._slopes), self._shader.state_dict()
+            state["shading"] = {"by_slope": self._by_slope.detach(), "slopes": slopes, "adam": adam}
+        return state
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Be what `state_dict` gave."""
         for part, saved in zip(self._parts, state["parts"], strict=True):
             part.load_state_dict(saved)
+        if self._casting is not None:
+            shading = state["shading"]
+            self._by_slope.detach().copy_(shading["by_slope"])
+            self._slopes = shading["slopes"].numpy()
+            self._shader.load_state_dict(shading["adam"])
         self._slope = np.zeros(2)
         self._average, self._averaged = list(state["average"]), state["averaged"]
 
-    def finish(self) -> tuple[Gaussians, Gaussians, Casting | None]:
+    def finish(self) -> tuple[Gaussians, Gaussians, Casting | None, Shading | None]:
         """Body and shadow, the mean over the averaged steps, without what is too faint ever to be drawn.
 
-        And how this shadow was cast.
+        And how this shadow was cast, and this body lit.
         """
         for part, average in zip(self._parts, self._average, strict=False):
             part.load_flat(average)
@@ -107,10 +135,12 @@ class Vehicle:
         body, shadow = (
             replace(cloud, sh=cloud.sh[:, :count]) for cloud, count in zip((body, shadow), self._sh_counts, strict=True)
         )
-        seen, casting = shadow.opacities >= CUT, self._casting
+        is_drawn, is_dark, casting, shading = body.opacities >= CUT, shadow.opacities >= CUT, self._casting, None
         if casting is not None:
-            casting = replace(casting, heights=casting.heights[seen])
-        return body[body.opacities >= CUT], shadow[seen], casting
+            casting = replace(casting, heights=casting.heights[is_dark])
+            by_slope = self._average[-1] if self._average else self._by_slope.detach()
+            shading = Shading(by_slope.numpy()[is_drawn], self._slopes)
+        return body[is_drawn], shadow[is_dark], casting, shading
 
 
 def vehicle_bounds(size: NDArray, shadow: Gaussians, reach: float) -> NDArray[np.float64]:

@@ -18,18 +18,17 @@ class Traffic:
 
     def __init__(self, vehicles: Sequence[Driven] = ()) -> None:
         self.vehicles = tuple(vehicles)
-        self._bodies = [Splats.from_gaussians(asset.body) for asset, _ in self.vehicles]
 
     def records(self, camera: Camera) -> list[Tensor]:
         """[N, 16] projected records of what the camera sees of each vehicle that is there at its time."""
         seen = []
-        for body, (asset, trajectory) in zip(self._bodies, self.vehicles, strict=True):
+        for asset, trajectory in self.vehicles:
             if trajectory.covers(camera.time):
                 world_from_vehicle = trajectory.at(camera.time)
                 view = View.from_camera(camera, world_from_vehicle)
-                for splats in (Splats.from_gaussians(asset.shadow_at(world_from_vehicle)), body):
+                for part in (asset.shadow_at(world_from_vehicle), asset.body_at(world_from_vehicle)):
                     with torch.no_grad():
-                        projected = project(splats, view, threads=1)
+                        projected = project(Splats.from_gaussians(part), view, threads=1)
                     seen.append(projected[projected.visible].records)
         return seen
 

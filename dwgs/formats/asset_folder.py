@@ -1,8 +1,8 @@
 """A vehicle asset as a folder: ``gaussians.ply`` (the body), ``shadow.ply``, ``asset.json``.
 
 Where it is known, ``observations.npy`` says for each Gaussian of the body how many frames saw it. Where the sun was
-found, ``asset.json`` says where it stands, and ``shadow_heights.npy`` how high above the ground each Gaussian of the
-shadow is cast from [m].
+found, ``asset.json`` says where it stands, ``shadow_heights.npy`` how high above the ground each Gaussian of the
+shadow is cast from [m], and ``body_shading.npy`` how the body's colours follow the sun, between which ``slopes``.
 """
 
 from pathlib import Path
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from dwgs.files import new_folder
 from dwgs.formats import ply
 from dwgs.formats.document import read_document, write_document
-from dwgs.scene import Casting, InputError, VehicleAsset
+from dwgs.scene import Casting, InputError, Shading, VehicleAsset
 
 OBSERVATIONS = "observations.npy"
-HEIGHTS = "shadow_heights.npy"
+HEIGHTS, SHADING = "shadow_heights.npy", "body_shading.npy"
 STAMP = {
     "format": "dwgs vehicle asset",
     "format_version": 1,
@@ -44,6 +44,8 @@ def write(asset: VehicleAsset, path: Path) -> None:
     }
     if asset.casting is not None:
         content["sun"] = {"in_world": asset.casting.sun.tolist(), "in_vehicle": asset.casting.sun_at_rest.tolist()}
+        if asset.shading is not None:
+            content["sun"]["slopes"] = asset.shading.slopes.tolist()
     with new_folder(path) as draft:
         ply.write(asset.body, draft / "gaussians.ply")
         ply.write(asset.shadow, draft / "shadow.ply")
@@ -51,6 +53,8 @@ def write(asset: VehicleAsset, path: Path) -> None:
             np.save(draft / OBSERVATIONS, np.asarray(asset.observations, np.uint32))
         if asset.casting is not None:
             np.save(draft / HEIGHTS, np.asarray(asset.casting.heights, np.float32))
+            if asset.shading is not None:
+                np.save(draft / SHADING, np.asarray(asset.shading.by_slope, np.float32))
         write_document(content, STAMP, draft / "asset.json")
 
 
@@ -73,16 +77,17 @@ def read(path: Path) -> VehicleAsset:
             f"'{path / 'asset.json'}' counts {counts[0]} + {counts[1]} Gaussians, the PLY files hold "
             f"{len(body)} + {len(shadow)}; the folder is a mixture of two"
         )
-    observations = _per_gaussian(path / OBSERVATIONS, len(body), np.uint32)
+    observations = _per_gaussian(path / OBSERVATIONS, (len(body),), np.uint32)
     casting = _casting(path, document.get("sun"), len(shadow))
-    return VehicleAsset(body, shadow, size, category, provenance, quality, observations, casting)
+    shading = _shading(path, document.get("sun"), len(body))
+    return VehicleAsset(body, shadow, size, category, provenance, quality, observations, casting, shading)
 
 
 def _casting(path: Path, sun: dict | None, count: int) -> Casting | None:
     """How the shadow was cast, where the document says so."""
     if sun is None:
         return None
-    heights = _per_gaussian(path / HEIGHTS, count, np.float32)
+    heights = _per_gaussian(path / HEIGHTS, (count,), np.float32)
     try:
         in_world, in_vehicle = (np.array(sun[name], np.float64) for name in ("in_world", "in_vehicle"))
     except (KeyError, TypeError, ValueError) as error:
@@ -94,14 +99,35 @@ def _casting(path: Path, sun: dict | None, count: int) -> Casting | None:
     return Casting(in_world, in_vehicle, heights)
 
 
-def _per_gaussian(path: Path, count: int, dtype: type) -> NDArray | None:
-    """[count] of the file, where there is one."""
+def _shading(path: Path, sun: dict | None, count: int) -> Shading | None:
+    """How the body's colours follow the sun, where the document says so."""
+    if sun is None or "slopes" not in sun:
+        return None
+    by_slope = _per_gaussian(path / SHADING, (count, 2, 3), np.float32)
+    try:
+        slopes = np.array(sun["slopes"], np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"'{path / 'asset.json'}' has slopes of the sun that are no numbers: {error}") from error
+    if slopes.shape != (2, 2) or not np.isfinite(slopes).all() or (slopes[0] > slopes[1]).any():
+        raise InputError(
+            f"'{path / 'asset.json'}' has slopes {sun['slopes']}; they are two lowest, two highest numbers"
+        )
+    if by_slope is None or not np.isfinite(by_slope).all():
+        raise InputError(f"'{path / SHADING}' is missing or not finite, though asset.json has slopes; write it anew")
+    return Shading(by_slope, slopes)
+
+
+def _per_gaussian(path: Path, shape: tuple[int, ...], dtype: type) -> NDArray | None:
+    """Of this shape what the file holds, where there is one."""
     if not path.exists():
         return None
     try:
         values = np.load(path, mmap_mode="r", allow_pickle=False)  # whatever its header says, nothing is allocated
     except (ValueError, EOFError, OSError) as error:
         raise InputError(f"'{path}' is not an array of numbers: {error}; write the asset anew") from error
-    if values.shape != (count,) or values.dtype != dtype:
-        raise InputError(f"'{path}' is {values.dtype} {values.shape}, the asset has {count} Gaussians; write it anew")
+    if values.shape != shape or values.dtype != dtype:
+        raise InputError(
+            f"'{path}' is {values.dtype} {values.shape}, for so many Gaussians it is {np.dtype(dtype)} {shape}; "
+            "write the asset anew"
+        )
     return np.array(values)

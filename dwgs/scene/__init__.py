@@ -1,6 +1,7 @@
 """The nouns: what every stage takes and hands on. NumPy only."""
 
 from dwgs.scene.asset import Casting as Casting
+from dwgs.scene.asset import Shading as Shading
 from dwgs.scene.asset import VehicleAsset as VehicleAsset
 from dwgs.scene.background import Background as Background
 from dwgs.scene.camera import Camera as Camera

@@ -27,6 +27,20 @@ class Casting:
 
 
 @dataclass(frozen=True)
+class Shading:
+    """How the colours of a body follow the sun as the vehicle turns, to first order."""
+
+    by_slope: NDArray[np.float32]
+    """[body, 2, 3] change of each Gaussian's first coefficients, per `Casting.slope_at`."""
+    slopes: NDArray[np.float64]
+    """[2, 2] lowest and highest that frames showed: beyond these, colours stay as they are there."""
+
+    def at(self, slope: NDArray[np.float64]) -> NDArray[np.float32]:
+        """[body, 3] the change there."""
+        return np.einsum("nkc,k->nc", self.by_slope, np.clip(slope, *self.slopes).astype(np.float32))
+
+
+@dataclass(frozen=True)
 class VehicleAsset:
     """Gaussians in the vehicle's own frame (box centre, x forward, y left, z up): they need no scene."""
 
@@ -46,6 +60,8 @@ class VehicleAsset:
     """[body] how many frames saw each Gaussian; those that none saw are as they were put there."""
     casting: Casting | None = None
     """How the shadow was cast; None: it turns with the vehicle."""
+    shading: Shading | None = None
+    """How colours follow the sun of the `casting`; None: they stay."""
 
     @property
     def gaussians(self) -> Gaussians:
@@ -59,3 +75,11 @@ class VehicleAsset:
         means = self.shadow.means.copy()
         means[:, :2] += self.casting.heights[:, None] * self.casting.slope_at(world_from_vehicle).astype(np.float32)
         return replace(self.shadow, means=means)
+
+    def body_at(self, world_from_vehicle: NDArray[np.float64]) -> Gaussians:
+        """The body as it is lit where the vehicle stands at [4, 4]; the very one where its colours stay."""
+        if self.casting is None or self.shading is None:
+            return self.body
+        sh = self.body.sh.copy()
+        sh[:, 0] += self.shading.at(self.casting.slope_at(world_from_vehicle))
+        return replace(self.body, sh=sh)

@@ -50,7 +50,7 @@ class Camera:
             pixels = (p @ self.K.T)[:, :2] / depth[:, None]
         return pixels, depth
 
-    def contains(self, pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def contains(self, pixels: NDArray[np.floating]) -> NDArray[np.bool_]:
         """[N] which pixels [N, 2] lie in the image; those that are no numbers do not."""
         x, y = pixels.T
         with np.errstate(invalid="ignore"):

@@ -146,3 +146,50 @@ def test_a_shadow_lies_where_it_is_cast_until_the_next_step(shadow):
     vehicle.splats().means.grad = torch.zeros_like(means)
     vehicle.step(1.0, is_averaged=False)
     torch.testing.assert_close(vehicle.splats().means.detach(), before)
+
+
+STANDS = [pose(yaw_rotation(turn), np.zeros(3)) for turn in (-0.2, -0.1, 0, 0.1, 0.2)]
+
+
+def turning_vehicle(shadow):
+    """Twenty Gaussians and a shadow in the sun."""
+    sun = sun_at(0.5, 1.0)
+    return Vehicle(shadow[:20], shadow, SIZE, GENERATED, Casting(sun, sun, np.ones(len(shadow), np.float32)))
+
+
+def teach(vehicle, steps):
+    """The first coefficient shall be 0.2 at rest, and 1.5 more per slope along y."""
+    sun = sun_at(0.5, 1.0)
+    for step in steps:
+        stand = STANDS[step % len(STANDS)]
+        vehicle.stand(stand)
+        sh = vehicle.splats().sh
+        sh.grad = torch.zeros_like(sh)
+        slope = sun[:2] / sun[2] - (stand[:3, :3].T @ sun)[:2] / sun[2]
+        sh.grad[:20, 0] = sh.detach()[:20, 0] - 0.2 - 1.5 * slope[1]
+        vehicle.step(1.0 if step < 400 else 0.1, is_averaged=step >= 550)
+
+
+def test_a_body_learns_how_its_colours_follow_the_sun(shadow):
+    vehicle = turning_vehicle(shadow)
+    teach(vehicle, range(600))
+    learnt, _, casting, shading = vehicle.finish()
+    for stand in STANDS:
+        slope = casting.slope_at(stand)
+        assert (shading.slopes[0] <= slope).all()
+        assert (slope <= shading.slopes[1]).all()
+        np.testing.assert_allclose(learnt.sh[:, 0] + shading.at(slope), 0.2 + 1.5 * slope[1], atol=0.02)
+
+
+@pytest.mark.parametrize("stop", [3, 560])
+def test_an_interrupted_vehicle_in_the_sun_goes_on_to_the_same_bytes(shadow, tmp_path, stop):
+    whole, half, other = (turning_vehicle(shadow) for _ in range(3))
+    teach(whole, range(600))
+    teach(half, range(stop))
+    torch.save(half.state_dict(), tmp_path / "half.pt")
+    other.load_state_dict(torch.load(tmp_path / "half.pt", weights_only=True))
+    teach(other, range(stop, 600))
+    expected, resumed = whole.finish(), other.finish()
+    np.testing.assert_array_equal(resumed[0].sh, expected[0].sh)
+    np.testing.assert_array_equal(resumed[3].by_slope, expected[3].by_slope)
+    np.testing.assert_array_equal(resumed[3].slopes, expected[3].slopes)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dwgs.formats import asset_folder
-from dwgs.scene import Casting, Gaussians, InputError, VehicleAsset
+from dwgs.scene import Casting, Gaussians, InputError, Shading, VehicleAsset
 
 
 def cloud(n: int, seed: int) -> Gaussians:
@@ -54,7 +54,8 @@ def test_an_asset_without_a_shadow_comes_back(tmp_path, asset):
 @pytest.fixture
 def sunny(asset):
     casting = Casting(np.array([0.6, 0, 0.8]), np.array([0, 0.6, 0.8]), np.float32([0.1, 0.4, 1.2, 0]))
-    return replace(asset, casting=casting)
+    by_slope = np.random.default_rng(0).normal(size=(len(asset.body), 2, 3)).astype(np.float32)
+    return replace(asset, casting=casting, shading=Shading(by_slope, np.array([[-0.1, -0.4], [0.2, 0]])))
 
 
 def test_the_sun_and_what_casts_the_shadow_come_back(tmp_path, sunny):
@@ -63,6 +64,34 @@ def test_the_sun_and_what_casts_the_shadow_come_back(tmp_path, sunny):
     np.testing.assert_array_equal(read.sun, sunny.casting.sun)
     np.testing.assert_array_equal(read.sun_at_rest, sunny.casting.sun_at_rest)
     np.testing.assert_array_equal(read.heights, sunny.casting.heights)
+
+
+def test_how_colours_follow_the_sun_comes_back(tmp_path, sunny):
+    asset_folder.write(sunny, tmp_path / "asset")
+    read = asset_folder.read(tmp_path / "asset").shading
+    np.testing.assert_array_equal(read.by_slope, sunny.shading.by_slope)
+    np.testing.assert_array_equal(read.slopes, sunny.shading.slopes)
+    asset_folder.write(replace(sunny, shading=None), tmp_path / "asset")
+    assert asset_folder.read(tmp_path / "asset").shading is None
+
+
+@pytest.mark.parametrize("slopes", [[[0, 0]], [[0, 1], [0, 0]], "steep", [[0, 0], [0, float("inf")]]])
+def test_slopes_that_are_none_are_refused(tmp_path, sunny, slopes):
+    asset_folder.write(sunny, tmp_path / "asset")
+    file = tmp_path / "asset" / "asset.json"
+    document = json.loads(file.read_text())
+    document["sun"]["slopes"] = slopes
+    file.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="slopes"):
+        asset_folder.read(tmp_path / "asset")
+
+
+@pytest.mark.parametrize("spoil", [lambda p: p.unlink(), lambda p: np.save(p, np.full((9, 2, 3), np.nan, np.float32))])
+def test_slopes_without_colours_are_refused(tmp_path, sunny, spoil):
+    asset_folder.write(sunny, tmp_path / "asset")
+    spoil(tmp_path / "asset" / "body_shading.npy")
+    with pytest.raises(InputError, match=r"body_shading\.npy"):
+        asset_folder.read(tmp_path / "asset")
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from dwgs.scene import Casting, Gaussians, VehicleAsset
+from dwgs.scene import Casting, Gaussians, Shading, VehicleAsset
 from dwgs.scene.pose import pose, transform_points, yaw_rotation
 
 SIZE = np.array([4.0, 1.8, 1.5])
@@ -42,6 +44,34 @@ def test_a_vehicle_that_turns_has_its_shadow_where_the_sun_casts_it(points, turn
     turned = pose(yaw_rotation(0.7 + turn), np.array([9.0, -2.0, 0.75]))
     lies = transform_points(turned, asset.shadow_at(turned).means)[:, :2]
     np.testing.assert_allclose(lies, cast(points, turned), atol=1e-5)
+
+
+def painted(points):
+    """A body whose red grows by 1 per slope along x, and whose green falls by 2 along y; frames showed up to 0.3."""
+    asset = asset_of(points, np.eye(4))
+    by_slope = np.zeros((len(points), 2, 3), np.float32)
+    by_slope[:, 0, 0], by_slope[:, 1, 1] = 1, -2
+    return replace(asset, body=asset.shadow, shading=Shading(by_slope, np.array([[-0.3, -0.3], [0.3, 0.3]])))
+
+
+def test_a_body_is_lit_by_the_sun_as_it_turns(points):
+    asset, turned = painted(points), pose(yaw_rotation(0.1), np.zeros(3))
+    slope = asset.casting.slope_at(turned)
+    change = asset.body_at(turned).sh[:, 0] - asset.body.sh[:, 0]
+    np.testing.assert_allclose(change, np.tile([slope[0], -2 * slope[1], 0], (len(points), 1)), atol=1e-6)
+    np.testing.assert_array_equal(asset.body_at(np.eye(4)).sh, asset.body.sh)
+
+
+def test_beyond_what_frames_showed_a_body_stays_lit_as_it_was_there(points):
+    asset = painted(points)
+    change = asset.body_at(pose(yaw_rotation(np.pi), np.zeros(3))).sh[:, 0] - asset.body.sh[:, 0]
+    assert np.abs(change[:, 0]).max() <= 0.3 + 1e-6
+    assert np.abs(change[:, 1]).max() <= 0.6 + 1e-6
+
+
+def test_a_body_whose_colours_stay_is_the_very_same(points):
+    asset = replace(painted(points), shading=None)
+    assert asset.body_at(pose(yaw_rotation(1.0), np.zeros(3))) is asset.body
 
 
 def test_a_shadow_that_nothing_is_known_of_turns_with_the_vehicle(points):
