@@ -58,7 +58,7 @@ class Vehicle:
         self._slope, self._slopes = np.zeros(2), np.zeros((2, 2))
         if casting is not None:
             self._heights = torch.from_numpy(casting.heights)[:, None]
-            self._by_slope = torch.zeros(len(body), 2, 3, requires_grad=True)
+            self._by_slope = torch.zeros(2, len(body), 3, requires_grad=True)
             self._shader = torch.optim.Adam([self._by_slope], betas=recipe.body.betas, eps=EPSILON)
         self._average: list[Tensor] = []
         self._averaged = 0
@@ -78,9 +78,10 @@ class Vehicle:
     def _turn(self, slope: NDArray[np.float64]) -> None:
         """See the sun from another heading."""
         if (slope != self._slope).any():
-            turn = torch.from_numpy(slope - self._slope).float()
-            self.splats().means.detach()[self._body :, :2].addcmul_(self._heights, turn)
-            self.splats().sh.detach()[: self._body, 0] += torch.einsum("nkc,k->nc", self._by_slope.detach(), turn)
+            turn, colors = slope - self._slope, self.splats().sh.detach()[: self._body, 0]
+            self.splats().means.detach()[self._body :, :2].addcmul_(self._heights, torch.from_numpy(turn).float())
+            for by_slope, change in zip(self._by_slope.detach(), turn, strict=True):
+                colors.add_(by_slope, alpha=change)
             self._slope = slope
             self._slopes = np.stack([np.minimum(self._slopes[0], slope), np.maximum(self._slopes[1], slope)])
 
@@ -90,7 +91,7 @@ class Vehicle:
             v_sh, slope = self.splats().sh.grad, torch.from_numpy(self._slope).float()
             self._turn(np.zeros(2))
             if v_sh is not None:
-                self._by_slope.grad = v_sh[: self._body, :1] * slope[:, None]
+                self._by_slope.grad = v_sh[: self._body, 0] * slope[:, None, None]
                 self._shader.param_groups[0]["lr"] = factor * SHADING_RATE
                 self._shader.step()
         self._together.step(factor)
@@ -139,7 +140,7 @@ class Vehicle:
         if casting is not None:
             casting = replace(casting, heights=casting.heights[is_dark])
             by_slope = self._average[-1] if self._average else self._by_slope.detach()
-            shading = Shading(by_slope.numpy()[is_drawn], self._slopes)
+            shading = Shading(by_slope.numpy()[:, is_drawn].swapaxes(0, 1).copy(), self._slopes)
         return body[is_drawn], shadow[is_dark], casting, shading
 
 
