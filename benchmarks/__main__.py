@@ -84,6 +84,10 @@ class Distill(Workload):
     """Length of their schedule; what is shorter than the field's own scales all of it."""
     pandaset: Path | None = None
     """Folder of PandaSet's sequence 002, whose overtaking car is distilled."""
+    vehicle: Path | None = None
+    """A file whose vehicle is put into that sequence, and distilled from what the default backend paints."""
+    pandaset_seconds: tuple[float, ...] = (10, 30)
+    """The times for these two."""
 
     def measure(self) -> list[Metric]:
         """Fit, again and again."""
@@ -106,7 +110,9 @@ class Distill(Workload):
                 )
                 metrics += distill_rivals.run(street, race, progress)
             if self.pandaset:
-                metrics += distill_pandaset.run(self.pandaset, 30.0, ReconstructConfig(), progress)
+                metrics += distill_pandaset.run(
+                    self.pandaset, self.vehicle, self.pandaset_seconds, ReconstructConfig(), progress
+                )
         return metrics
 
 
