@@ -88,20 +88,26 @@ class Distill(Workload):
     """A file whose vehicle is put into that sequence, and distilled from what the default backend paints."""
     pandaset_seconds: tuple[float, ...] = (10, 30)
     """The times for these two."""
+    pose_noise: int = 0
+    """So many times 5 cm and half a degree of noise are put on every pose of each drive, and what is left is told."""
+    pose_steps: int = 1200
+    """Of the fits before that noise."""
 
     def measure(self) -> list[Metric]:
         """Fit, again and again."""
         from rich.progress import Progress
 
-        from benchmarks.workloads import distill, distill_pandaset, distill_rivals, distill_step
+        from benchmarks.workloads import distill, distill_pandaset, distill_poses, distill_rivals, distill_step
         from dwgs.reconstruct import ReconstructConfig
         from dwgs.street import build_street
 
         street, metrics = build_street(frames=self.frames), []
         with Progress() as progress:
-            if self.drives:
+            if self.drives and self.seconds:
                 plan = distill.Plan(self.drives, self.seconds, self.reference_steps, self.without_shadow)
                 metrics += distill.run(street, plan, progress)
+            if self.pose_noise:
+                metrics += distill_poses.run(street, self.drives, self.pose_steps, self.pose_noise, progress)
             if self.backgrounds:
                 metrics += distill_step.run(street, self.backgrounds, progress)
             if self.rivals:

@@ -10,7 +10,7 @@ from rich.progress import Progress
 from benchmarks import __main__ as command
 from benchmarks.rivals.loops import Crops, FullFrames, Loop
 from benchmarks.rivals.omnire import POINTS, RigidNode, Schedule
-from benchmarks.workloads import distill, distill_rivals, distill_step
+from benchmarks.workloads import distill, distill_poses, distill_rivals, distill_step
 from benchmarks.workloads.distill import seconds_to
 from benchmarks.workloads.drives import inserted
 from benchmarks.workloads.reconstructed_street import oracle
@@ -93,6 +93,30 @@ def test_quality_over_time_is_measured_and_the_reference_kept(street, tmp_path, 
     gap = kept["near"]["psnr_roi_heldout"] - value["distill.street_near.psnr_at_6s"]
     assert value["distill.street_near.gap_db_at_6s"] == pytest.approx(gap)
     assert value["distill.street_near.shadow_gaussians"] > 10 * value["distill.street_near.shadow_gaussians_without"]
+
+
+def test_noise_on_poses_is_found_again_and_nothing_else(street):
+    truth = street.insertion().trajectory
+    times = np.array([street.camera(i).time for i in range(street.frames)])
+    assert np.abs(distill_poses.errors(truth, truth, times)).max() < 1e-9
+    shaken = distill_poses.shake(truth, times, 0)
+    off = distill_poses.errors(shaken, truth, times)
+    noise = distill_poses.SHAKEN * np.random.default_rng(0).normal(size=(len(times), 6))
+    np.testing.assert_allclose(off, noise, atol=1e-9)
+    ahead = off + np.array([0, 0, 0, 1.0, 0, 0])
+    left = {metric.key: metric.value for metric in distill_poses.left("x", ahead)}
+    assert left["x.left_cm_along"] == pytest.approx(100 * np.sqrt(((off - np.median(off, 0))[:, 3] ** 2).mean()))
+    assert left["x.shared_cm"] > 90
+
+
+@pytest.mark.slow
+def test_noise_on_poses_costs_less_where_it_is_refined():
+    street = build_street(frames=48, width=192, height=128)
+    metrics = distill_poses.run(street, ["street"], steps=150, seeds=1, progress=QUIET)
+    value = {metric.key.removeprefix("distill.street.poses."): metric.value for metric in metrics}
+    assert value["moved_without_noise_cm"] == 0
+    assert value["noise_0.psnr_refined"] > value["noise_0.psnr_unrefined"] + 1
+    assert value["noise_0.left_cm"] < 3
 
 
 def test_discs_lie_on_the_surfaces_of_the_street_as_many_as_asked_for(street):
