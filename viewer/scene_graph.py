@@ -35,12 +35,12 @@ class SceneGraph:
         """Every cloud there is at ``time`` [s], with its ``world_from_cloud`` [4, 4].
 
         The clouds are the very objects of the background and the assets: a renderer knows them again. A vehicle that
-        the sun lights anew is another at every heading, and so is its shadow.
+        the sun lights anew is another at every heading, and so is its shadow; a wheel is wherever it drives.
         """
         clouds = [] if self.background is None else [(self.background.gaussians, np.eye(4))]
         for asset, trajectory in self.actors:
             if trajectory.covers(time):
                 world_from_vehicle = trajectory.at(time)
-                parts = asset.shadow_at(world_from_vehicle), asset.body_at(world_from_vehicle)
+                parts = [asset.shadow_at(world_from_vehicle), *asset.parts_at(trajectory, time)]
                 clouds += [(part, world_from_vehicle) for part in parts]
         return [(cloud, world_from_cloud) for cloud, world_from_cloud in clouds if len(cloud)]

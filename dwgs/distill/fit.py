@@ -21,10 +21,12 @@ from dwgs.distill.learner import Learner
 from dwgs.distill.model import Vehicle, vehicle_bounds
 from dwgs.distill.observe import observations
 from dwgs.distill.poses import BoxPoses
+from dwgs.distill.rolling import learn_wheels
 from dwgs.distill.shadow import initialize_shadow
 from dwgs.distill.shots import Shot, Sight, find_sights, prepare_shots
 from dwgs.distill.sun import find_casting, turning
 from dwgs.distill.symmetry import imagine, mirrored_share
+from dwgs.distill.wheels import are_wheels_seen, find_wheels
 from dwgs.optimize import Checkpoint, Evaluated, Event, Grown, count_steps, fill_time, view_order
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, Trajectory, VehicleAsset
 from dwgs.scene.pose import inverse
@@ -36,6 +38,11 @@ PER_SECOND = 900
 """Gaussians of the body for each second, if time is given: fewer make more steps, which pays while those are few."""
 EYES = 12
 """So many frames, spread over the clip, say which sides they see."""
+ROLLING_STEPS, ROLLING_TIME = 0.35, 0.15
+"""Shares of the steps, or of the time, that wheels get: the steps are made besides, the time is taken from the rest."""
+UNSETTLED, LEAST_ROLLING = 10.0, 0.5
+"""In less time than this [s], if time is given, poses are not right enough to see wheels turn; and if they are seen to,
+at least so much [s] is taken for them."""
 COMPLETED = "share_completed_by_symmetry"
 """Key of a report."""
 SOLID = 0.5
@@ -117,30 +124,47 @@ def distill(
     casting = find_casting(list(shots.values()), insertion, shadow, config.shadow_margin)
     begun = discs if imagined is None else imagined.body
     vehicle = Vehicle(begun, shadow, insertion.size, recipe, casting)
+    may_roll = not is_generated and are_wheels_seen([(shot, shot.view) for shot in shots.values()], insertion.size)
     prepared = time.monotonic()
 
-    if config.seconds is None:
-        schedule = count_steps(config.steps)
-    elif prepared - started < config.seconds:
-        schedule = fill_time(config.seconds - (prepared - started))
-    else:
-        raise InputError(
-            f"preparing took {prepared - started:.1f} s of the {config.seconds:g} s given; give more, or fewer frames"
-        )
+    schedule = count_steps(config.steps)
+    if config.seconds is not None:
+        left = started + config.seconds - prepared
+        if left <= 0:
+            raise InputError(
+                f"preparing took {prepared - started:.1f} s of the {config.seconds:g} s given; "
+                "give more, or fewer frames"
+            )
+        may_roll &= left > UNSETTLED
+        schedule = fill_time(left * (1 - ROLLING_TIME * may_roll))
     learner = Learner(shots, vehicle, poses, imagined, recipe, config)
     steps = yield from learner.run(schedule, checkpoint if config.seconds is None else None)
     body, shadow, casting, shading = vehicle.finish()
     size = np.asarray(insertion.size)
     asset = VehicleAsset(body, shadow, size, insertion.category, casting=casting, shading=shading)
+
+    def view_of(i: int) -> View:
+        return shots[i].view if poses is None else shots[i].view_at(poses.old_from_new(i))
+
+    trajectory = insertion.trajectory if poses is None else poses.refined(insertion.trajectory)
+    rolling = None
+    if may_roll:
+        rolling = find_wheels([(shots[i], view_of(i)) for i in shots], asset.size, trajectory, config.seed)
+    if rolling is not None:
+        schedule = count_steps(math.ceil(ROLLING_STEPS * config.steps))
+        if config.seconds is not None:
+            schedule = fill_time(max(started + config.seconds - time.monotonic(), LEAST_ROLLING))
+        asset = yield from learn_wheels(rolling, asset, recipe, schedule, config.seed)
+    body = asset.body
     fitted = time.monotonic()
 
     taught = [sights[i] for i in shots]
     judged = [i for i, sight in enumerate(sights) if sight.held_out]
     shots |= dict(zip(judged, (yield from prepare([sights[i] for i in judged])), strict=True))
     corrected = {} if poses is None else poses.report()
-    views = {i: s.view if poses is None else s.view_at(poses.old_from_new(i)) for i, s in shots.items()}
-    seen = observations([(shots[i], views[i]) for i in learnt if i in views], asset, config.threads)
-    scores = _scores([(shots[i], views[i]) for i in sorted(shots)], asset, config.threads)
+    looks = ((shots[i], view_of(i), _standing(shots[i], asset, trajectory)) for i in learnt if i in shots)
+    seen = observations(looks, len(body), config.threads)
+    scores = _scores([(shots[i], view_of(i)) for i in sorted(shots)], asset, trajectory, config.threads)
     report = summary(scores) | _coverage(taught, insertion, scores) | corrected
     yield Evaluated(steps, report["psnr_roi_heldout"] or report["psnr_roi_train"])
     is_mirrored = imagined is not None or not insertion.vehicle.is_complete
@@ -153,6 +177,7 @@ def distill(
         COMPLETED: round(mirrored_share(body, seen), 4) if is_mirrored else 0.0,
         "size": [float(side) for side in insertion.size],
         "extent": extent(body),
+        "wheels": None if rolling is None or not asset.wheels else rolling.report(),
         "steps": steps,
         "frames_taught": len(taught),
         "seconds": {
@@ -163,12 +188,11 @@ def distill(
         "background_unchanged": frozen.fingerprint() == before,
     }
     told = ("psnr_roi_heldout", "ssim_roi_heldout", "psnr_object_heldout", "sectors", "side_pixels")
-    told += ("gaussians_unseen", COMPLETED, "extent", "frames_taught")
+    told += ("gaussians_unseen", COMPLETED, "extent", "wheels", "frames_taught")
     quality = {key: report[key] for key in told} | corrected
     provenance = {"scene": scene.name, "kind": report["kind"], "dwgs": version("dwgs"), "config": asdict(config)}
     provenance |= {"steps": steps, "seconds": report["seconds"], "background": before}
     asset = replace(asset, provenance=provenance, quality=quality, observations=seen)
-    trajectory = insertion.trajectory if poses is None else poses.refined(insertion.trajectory)
     return Distilled(asset, trajectory, report)
 
 
@@ -178,13 +202,18 @@ def _eyes(sights: list[Sight]) -> list[NDArray[np.float64]]:
     return [(inverse(sights[i].world_from_vehicle) @ sights[i].camera.world_from_camera)[:3, 3] for i in spread]
 
 
-def _scores(shots: list[tuple[Shot, View]], asset: VehicleAsset, threads: int) -> list[Score]:
+def _standing(shot: Shot, asset: VehicleAsset, trajectory: Trajectory) -> Gaussians:
+    """All of the asset as it stands in a frame, in the order of its Gaussians."""
+    parts = asset.parts_at(trajectory, shot.sight.frame.camera.time)
+    return Gaussians.concatenate([*parts, asset.shadow_at(shot.sight.world_from_vehicle)])
+
+
+def _scores(shots: list[tuple[Shot, View]], asset: VehicleAsset, trajectory: Trajectory, threads: int) -> list[Score]:
     """Of every frame, held-out and learnt."""
 
     def judge(look: tuple[Shot, View]) -> Score:
-        world_from_vehicle = look[0].sight.world_from_vehicle
-        body = Splats.from_gaussians(asset.body_at(world_from_vehicle))
-        shadow = Splats.from_gaussians(asset.shadow_at(world_from_vehicle))
+        whole, count = _standing(look[0], asset, trajectory), len(asset.body)
+        body, shadow = Splats.from_gaussians(whole[:count]), Splats.from_gaussians(whole[count:])
         return score(*look, body, shadow, threads=1)[0]
 
     with ThreadPoolExecutor(threads) as pool:  # a frame for each thread

@@ -9,7 +9,7 @@ stopping rule lets pass.
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Protocol
 
@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from dwgs.distill.region import Window
 from dwgs.distill.traffic import Driven, Traffic
 from dwgs.scene import Background, Camera, Frame, Gaussians, Track, Trajectory
 from dwgs.scene.pose import inverse, transform_points
@@ -47,6 +48,22 @@ class FrozenView:
     def retain(self, vehicle: RetainedCloud, view: View) -> Picture:
         """The same of a vehicle that is drawn in it again and again."""
         return vehicle.picture(view, self.layers, self._among)
+
+    def within(self, window: Window) -> "FrozenView":
+        """Only a ``window`` of the window."""
+        layers = Layers(*(getattr(self.layers, f.name)[window.slices].contiguous() for f in fields(Layers)))
+        records = self.between.records.clone()
+        records[:, :2] -= torch.tensor([window.x, window.y])
+        size = torch.tensor([window.width, window.height])
+        reaches = (records[:, :2] > -records[:, 10:12]) & (records[:, :2] < size + records[:, 10:12])
+        return FrozenView(layers, Projected(records[reaches.all(1)]), self.gain)
+
+    def holding(self, vehicle: Splats, view: View) -> "FrozenView":
+        """With a vehicle frozen in it, too."""
+        with torch.no_grad():
+            projected = project(vehicle, view, threads=1)
+        records = torch.cat([self.between.records, projected[projected.visible].records])
+        return FrozenView(self.layers, Projected(records), self.gain)
 
     @property
     def _among(self) -> Projected | None:

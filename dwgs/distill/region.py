@@ -33,9 +33,14 @@ class Window:
     width: int
     height: int
 
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """What takes the part inside out of anything [H, W, ...]."""
+        return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
+
     def of(self, image: NDArray) -> NDArray:
         """The part of an image [H, W, ...] inside."""
-        return image[self.y : self.y + self.height, self.x : self.x + self.width]
+        return image[self.slices]
 
     def camera(self, camera: Camera) -> Camera:
         """The camera that sees only this part."""
@@ -86,7 +91,7 @@ def find_region(
         supervised = _dilated(reactive, MARGIN)
     if not supervised.any():
         return None
-    window = _window_around(supervised, APRON)
+    window = window_around(supervised, APRON)
     supervised, reactive = window.of(supervised), window.of(reactive)
     bare = ~reactive if reactive.any() else ~supervised
     inside = window.camera(camera)
@@ -130,7 +135,7 @@ def covered(camera: Camera, world_from_vehicle: NDArray, insertion: Insertion) -
     hit = np.zeros((camera.height, camera.width), bool)
     hit[row, column] = True
     if hit.any():
-        part = _window_around(hit, 0).of(hit)
+        part = window_around(hit, 0).of(hit)
         part[:] = binary_fill_holes(binary_closing(np.pad(part, GAP), iterations=GAP))[GAP:-GAP, GAP:-GAP]
     return hit
 
@@ -154,13 +159,14 @@ def _traffic(camera: Camera, tracks: Sequence[Track]) -> Iterator[tuple[NDArray[
 def _dilated(mask: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
     if not mask.any():
         return mask
-    window = _window_around(mask, int(radius) + 1)
+    window = window_around(mask, int(radius) + 1)
     dilated = np.zeros_like(mask)
     window.of(dilated)[:] = np.asarray(distance_transform_edt(~window.of(mask))) <= radius
     return dilated
 
 
-def _window_around(mask: NDArray[np.bool_], apron: int) -> Window:
+def window_around(mask: NDArray[np.bool_], apron: int) -> Window:
+    """The smallest that holds a mask with an ``apron`` [px] around it."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     top, bottom = max(rows[0] - apron, 0), min(rows[-1] + 1 + apron, mask.shape[0])
     left, right = max(columns[0] - apron, 0), min(columns[-1] + 1 + apron, mask.shape[1])

@@ -20,7 +20,7 @@ from dwgs.distill.light import Light, find_light
 from dwgs.distill.observe import pixels_shown
 from dwgs.distill.shots import Shot
 from dwgs.optimize import RetainedMse
-from dwgs.scene import Camera, Gaussians, VehicleAsset, VehiclePoints
+from dwgs.scene import Camera, Gaussians, VehiclePoints
 from dwgs.scene.color import linear_from_srgb, srgb_from_linear
 from dwgs.scene.pose import pose
 from dwgs.splat import Layers, RetainedCloud, Splats, View, render
@@ -122,8 +122,7 @@ def imagine(body: Gaussians, vehicle: VehiclePoints, shots: Sequence[Shot], thre
         threads: Frames looked at at once.
     """
     chosen = [shots[i] for i in np.unique(np.linspace(0, len(shots) - 1, min(LOOKS, len(shots))).astype(int))]
-    alone = VehicleAsset(body, Gaussians.empty(), np.zeros(3))
-    pixels = np.mean(list(pixels_shown([(shot, shot.view) for shot in chosen], alone, threads)), 0)
+    pixels = np.mean(list(pixels_shown([(shot, shot.view, body) for shot in chosen], len(body), threads)), 0)
     appearance = look(body, chosen, vehicle.normals is not None, threads)
     if not appearance.is_seen.any():
         return None

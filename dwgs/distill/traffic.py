@@ -26,7 +26,7 @@ class Traffic:
             if trajectory.covers(camera.time):
                 world_from_vehicle = trajectory.at(camera.time)
                 view = View.from_camera(camera, world_from_vehicle)
-                for part in (asset.shadow_at(world_from_vehicle), asset.body_at(world_from_vehicle)):
+                for part in (asset.shadow_at(world_from_vehicle), *asset.parts_at(trajectory, camera.time)):
                     with torch.no_grad():
                         projected = project(Splats.from_gaussians(part), view, threads=1)
                     seen.append(projected[projected.visible].records)

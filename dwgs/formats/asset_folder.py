@@ -2,9 +2,11 @@
 
 Where it is known, ``observations.npy`` says for each Gaussian of the body how many frames saw it. Where the sun was
 found, ``asset.json`` says where it stands, ``shadow_heights.npy`` how high above the ground each Gaussian of the
-shadow is cast from [m], and ``body_shading.npy`` how the body's colours follow the sun, between which ``slopes``.
+shadow is cast from [m], and ``body_shading.npy`` how the body's colours follow the sun, between which ``slopes``. Where
+wheels roll, ``asset.json`` says about which hub, with which radius, and how many of the body's last Gaussians.
 """
 
+from operator import index
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from dwgs.files import new_folder
 from dwgs.formats import ply
 from dwgs.formats.document import read_document, write_document
-from dwgs.scene import Casting, InputError, Shading, VehicleAsset
+from dwgs.scene import Casting, InputError, Shading, VehicleAsset, Wheel
 
 OBSERVATIONS = "observations.npy"
 HEIGHTS, SHADING = "shadow_heights.npy", "body_shading.npy"
@@ -46,6 +48,11 @@ def write(asset: VehicleAsset, path: Path) -> None:
         content["sun"] = {"in_world": asset.casting.sun.tolist(), "in_vehicle": asset.casting.sun_at_rest.tolist()}
         if asset.shading is not None:
             content["sun"]["slopes"] = asset.shading.slopes.tolist()
+    if asset.wheels:
+        content["wheels"] = [
+            {"hub": [float(x) for x in wheel.hub], "radius": float(wheel.radius), "gaussians": wheel.count}
+            for wheel in asset.wheels
+        ]
     with new_folder(path) as draft:
         ply.write(asset.body, draft / "gaussians.ply")
         ply.write(asset.shadow, draft / "shadow.ply")
@@ -80,7 +87,29 @@ def read(path: Path) -> VehicleAsset:
     observations = _per_gaussian(path / OBSERVATIONS, (len(body),), np.uint32)
     casting = _casting(path, document.get("sun"), len(shadow))
     shading = _shading(path, document.get("sun"), len(body))
-    return VehicleAsset(body, shadow, size, category, provenance, quality, observations, casting, shading)
+    wheels = _wheels(path / "asset.json", document.get("wheels", []), len(body))
+    return VehicleAsset(body, shadow, size, category, provenance, quality, observations, casting, shading, wheels)
+
+
+def _wheels(path: Path, entries: list, count: int) -> tuple[Wheel, ...]:
+    """What the document at ``path`` says of a body of ``count`` Gaussians."""
+    try:
+        wheels = tuple(
+            Wheel(np.array(entry["hub"], np.float64), float(entry["radius"]), index(entry["gaussians"]))
+            for entry in entries
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"'{path}' has a wheel without hub, radius, or a number of Gaussians: {error}") from error
+    for wheel in wheels:
+        if wheel.hub.shape != (3,) or not np.isfinite(wheel.hub).all() or not 0 < wheel.radius < np.inf:
+            raise InputError(
+                f"'{path}' has a wheel of radius {wheel.radius} about {wheel.hub.tolist()}; "
+                "a hub is x, y, z, a radius positive [m]"
+            )
+    counts = [wheel.count for wheel in wheels]
+    if any(own < 1 for own in counts) or sum(counts) > count:
+        raise InputError(f"'{path}' has wheels of {counts} Gaussians; each has some of the body's {count}, and its own")
+    return wheels
 
 
 def _casting(path: Path, sun: dict | None, count: int) -> Casting | None:

@@ -3,6 +3,7 @@
 from dwgs.scene.asset import Casting as Casting
 from dwgs.scene.asset import Shading as Shading
 from dwgs.scene.asset import VehicleAsset as VehicleAsset
+from dwgs.scene.asset import Wheel as Wheel
 from dwgs.scene.background import Background as Background
 from dwgs.scene.camera import Camera as Camera
 from dwgs.scene.errors import InputError as InputError

@@ -1,12 +1,15 @@
 """The vehicle, to take home."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dwgs.scene.gaussians import Gaussians
+from dwgs.scene.pose import pitch_rotation, quat_from_rotation, quat_product
+from dwgs.scene.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -41,11 +44,30 @@ class Shading:
 
 
 @dataclass(frozen=True)
+class Wheel:
+    """Gaussians of a body that roll with the way driven; light stays where it is: colours do not turn with them."""
+
+    hub: NDArray[np.float64]
+    """[3] what they turn about, in the vehicle's frame [m]; the axle lies across the vehicle."""
+    radius: float
+    """So far a vehicle drives while its wheel turns by one radian [m]."""
+    count: int
+    """How many of the body's Gaussians are its own."""
+
+    def turned(self, own: Gaussians, way: float) -> Gaussians:
+        """Its ``own`` Gaussians at rest, once the hub has come forward by a ``way`` [m]."""
+        rotation = pitch_rotation(way / self.radius)
+        means = self.hub + (own.means - self.hub) @ rotation.T
+        quats = quat_product(quat_from_rotation(rotation), own.quats)
+        return replace(own, means=means.astype(np.float32), quats=quats.astype(np.float32))
+
+
+@dataclass(frozen=True)
 class VehicleAsset:
     """Gaussians in the vehicle's own frame (box centre, x forward, y left, z up): they need no scene."""
 
     body: Gaussians
-    """What lies on the vehicle."""
+    """What lies on the vehicle, its wheels as they are before it drives."""
     shadow: Gaussians
     """What the vehicle takes away from the ground around it: dark, flat, outside the box."""
     size: NDArray[np.float64]
@@ -62,6 +84,8 @@ class VehicleAsset:
     """How the shadow was cast; None: it turns with the vehicle."""
     shading: Shading | None = None
     """How colours follow the sun of the `casting`; None: they stay."""
+    wheels: tuple[Wheel, ...] = ()
+    """What of the body rolls: the last of its Gaussians, wheel by wheel."""
 
     @property
     def gaussians(self) -> Gaussians:
@@ -83,3 +107,28 @@ class VehicleAsset:
         sh = self.body.sh.copy()
         sh[:, 0] += self.shading.at(self.casting.slope_at(world_from_vehicle))
         return replace(self.body, sh=sh)
+
+    def parts_at(self, trajectory: Trajectory, time: float) -> list[Gaussians]:
+        """The body in the vehicle's frame at a ``time`` [s] of a drive: what stays, then each wheel, turned.
+
+        In the order of its Gaussians. What stays is the very same cloud at all times, if its colours stay, too.
+        """
+        lit = self.body_at(trajectory.at(time))
+        clouds = self._at_rest if lit is self.body else self._divided(lit)
+        rolled = [
+            wheel.turned(own, float(trajectory.driven(time, wheel.hub)))
+            for wheel, own in zip(self.wheels, clouds[1:], strict=True)
+        ]
+        return [clouds[0], *rolled]
+
+    @cached_property
+    def _at_rest(self) -> list[Gaussians]:
+        """What stays of the body, then each wheel."""
+        return self._divided(self.body)
+
+    def _divided(self, body: Gaussians) -> list[Gaussians]:
+        """What stays of a body, then each wheel."""
+        if not self.wheels:
+            return [body]
+        ends = np.cumsum([len(body) - sum(wheel.count for wheel in self.wheels), *(w.count for w in self.wheels)])
+        return [body[begin:end] for begin, end in zip([0, *ends], ends, strict=False)]

@@ -48,6 +48,18 @@ class Gaussians:
         """The Gaussians that a NumPy index or mask over [N] selects."""
         return Gaussians(*(getattr(self, f)[index] for f in ("means", "quats", "scales", "opacities", "sh")))
 
+    def mirrored(self) -> "Gaussians":
+        """Their mirror images about the plane y = 0, where left is right."""
+        degrees = [degree for degree in range(4) for _ in range(2 * degree + 1)][: self.sh.shape[1]]
+        is_odd = [k - degree**2 < degree for k, degree in enumerate(degrees)]  # a factor of y, or of y^3
+        return Gaussians(
+            self.means * np.array([1, -1, 1], np.float32),
+            self.quats * np.array([1, -1, 1, -1], np.float32),
+            self.scales,
+            self.opacities,
+            self.sh * np.where(is_odd, np.float32(-1), np.float32(1))[:, None],
+        )
+
     @property
     def sh_degree(self) -> int:
         """0 to 3."""

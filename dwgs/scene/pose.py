@@ -71,6 +71,19 @@ def quat_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
     return np.where(quat[..., :1] < 0, -quat, quat)
 
 
+def quat_product(quat_a: ArrayLike, quat_b: ArrayLike) -> NDArray[np.float64]:
+    """Quaternion [..., 4], wxyz, of the rotation ``quat_b`` followed by ``quat_a`` (Hamilton's product)."""
+    aw, ax, ay, az = np.moveaxis(np.asarray(quat_a, np.float64), -1, 0)
+    bw, bx, by, bz = np.moveaxis(np.asarray(quat_b, np.float64), -1, 0)
+    parts = [
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    ]
+    return np.stack(parts, -1)
+
+
 def slerp(quat_a: ArrayLike, quat_b: ArrayLike, s: ArrayLike) -> NDArray[np.float64]:
     """Unit quaternion [..., 4] on the shorter arc from ``quat_a`` (s = 0) to ``quat_b`` (s = 1)."""
     quat_a, quat_b = np.asarray(quat_a, np.float64), np.asarray(quat_b, np.float64)
@@ -92,3 +105,10 @@ def yaw_rotation(yaw: ArrayLike) -> NDArray[np.float64]:
     yaw = np.asarray(yaw, np.float64)
     c, s, o, i = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
     return np.stack([np.stack([c, -s, o], -1), np.stack([s, c, o], -1), np.stack([o, o, i], -1)], -2)
+
+
+def pitch_rotation(pitch: ArrayLike) -> NDArray[np.float64]:
+    """Rotation [..., 3, 3] by ``pitch`` [rad] about +y: what looks up comes to look ahead."""
+    pitch = np.asarray(pitch, np.float64)
+    c, s, o, i = np.cos(pitch), np.sin(pitch), np.zeros_like(pitch), np.ones_like(pitch)
+    return np.stack([np.stack([c, o, s], -1), np.stack([o, i, o], -1), np.stack([-s, o, c], -1)], -2)

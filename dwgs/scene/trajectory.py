@@ -72,3 +72,14 @@ class Trajectory:
     def length(self) -> float:
         """Distance driven [m]."""
         return float(np.linalg.norm(np.diff(self.world_from_vehicle[:, :3, 3], axis=0), axis=1).sum())
+
+    def driven(self, time: ArrayLike, point: ArrayLike = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
+        """How far [...] [m] a ``point`` [3] of the vehicle has come forward since the first key pose.
+
+        At the given times [s], held still beyond either end; what is driven backwards is taken off again.
+        """
+        places = self.world_from_vehicle[:, :3, :3] @ np.asarray(point, np.float64) + self.world_from_vehicle[:, :3, 3]
+        ahead = self.world_from_vehicle[1:, :3, 0] + self.world_from_vehicle[:-1, :3, 0]
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+        ways = np.cumsum((np.diff(places, axis=0) * ahead).sum(1))
+        return np.interp(np.asarray(time, np.float64), self.times, np.append(0, ways))

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from dwgs.scene import Frame, Insertion, Scene, VehicleAsset
+from dwgs.scene import Frame, Gaussians, Insertion, Scene, VehicleAsset
 from dwgs.scene.pose import pose
 from dwgs.splat import Splats, View, render
 from generator.asset.gaussians import asset_of, contact_shadow
@@ -41,8 +41,7 @@ class AssetGenerator:
         scene, insertion = conditions.scene, conditions.insertion
         asset = self._asset or asset_of(insertion.vehicle, insertion.size, seed)
         shadow = asset.shadow if len(asset.shadow) else contact_shadow(asset.size)
-        cloud = Splats.cat([Splats.from_gaussians(asset.body), Splats.from_gaussians(shadow)])
-        stage = _Stage(insertion, cloud, (asset.size[2] - insertion.size[2]) / 2, Recording(scene))
+        stage = _Stage(insertion, replace(asset, shadow=shadow, shading=None), Recording(scene))
         return frame_by_frame(conditions, lambda _, condition: stage.take(condition), on_progress)
 
 
@@ -51,10 +50,8 @@ class _Stage:
     """All that is the same for every frame of a clip. Thread-safe."""
 
     insertion: Insertion
-    cloud: Splats
-    """Body and shadow, in the asset's own frame."""
-    lift: float
-    """[m] from the insertion's box centre up to the asset's: both stand on the same ground."""
+    asset: VehicleAsset
+    """What is drawn."""
     recording: Recording
 
     def take(self, condition: ConditionFrame) -> Frame:
@@ -73,10 +70,13 @@ class _Stage:
         """The window [h, w, 3] of a frame at (x, y) with the asset before what was recorded there."""
         height, width = recorded.shape[:2]
         camera = frame.camera.crop(x, y, width, height)
-        world_from_vehicle = self.insertion.trajectory.at(camera.time)
-        world_from_asset = world_from_vehicle @ pose(np.eye(3), (0, 0, self.lift))
+        trajectory, asset = self.insertion.trajectory, self.asset
+        world_from_vehicle = trajectory.at(camera.time)
+        lift = (asset.size[2] - self.insertion.size[2]) / 2  # both stand on the same ground
+        world_from_asset = world_from_vehicle @ pose(np.eye(3), (0, 0, lift))
+        cloud = Gaussians.concatenate([*asset.parts_at(trajectory, camera.time), asset.shadow])
         with torch.no_grad():
-            seen = render(self.cloud, View.from_camera(camera, world_from_asset), threads=1)
+            seen = render(Splats.from_gaussians(cloud), View.from_camera(camera, world_from_asset), threads=1)
         rgb, alpha = seen.rgb.numpy(), seen.alpha.numpy()
         depth = np.where(alpha > 0.05, seen.expected_depth.numpy(), np.inf)
         image = recorded / np.float32(255)

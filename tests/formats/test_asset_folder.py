@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dwgs.formats import asset_folder
-from dwgs.scene import Casting, Gaussians, InputError, Shading, VehicleAsset
+from dwgs.scene import Casting, Gaussians, InputError, Shading, VehicleAsset, Wheel
 
 
 def cloud(n: int, seed: int) -> Gaussians:
@@ -115,6 +115,55 @@ def test_a_sun_without_heights_is_refused(tmp_path, sunny):
     asset_folder.write(sunny, tmp_path / "asset")
     (tmp_path / "asset" / "shadow_heights.npy").unlink()
     with pytest.raises(InputError, match=r"shadow_heights\.npy"):
+        asset_folder.read(tmp_path / "asset")
+
+
+@pytest.fixture
+def rolling(asset):
+    return replace(asset, wheels=(Wheel(np.array([1.3, -0.8, 0.1]), 0.34, 3), Wheel(np.array([-1.3, 0, 0]), 0.3, 4)))
+
+
+def test_wheels_come_back(tmp_path, rolling):
+    asset_folder.write(rolling, tmp_path / "asset")
+    read = asset_folder.read(tmp_path / "asset")
+    assert len(read.body) == 9  # at rest every viewer shows all of it
+    for a, b in zip(read.wheels, rolling.wheels, strict=True):
+        np.testing.assert_array_equal(a.hub, b.hub)
+        assert (a.radius, a.count) == (b.radius, b.count)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"radius": 0}, "a radius positive"),
+        ({"radius": float("inf")}, "a radius positive"),
+        ({"radius": "wide"}, "without hub, radius"),
+        ({"hub": [1, 2]}, "a hub is x, y, z"),
+        ({"hub": [1, 2, float("nan")]}, "a hub is x, y, z"),
+        ({"gaussians": 6}, "each has some of the body's 9"),
+        ({"gaussians": 0}, "each has some"),
+        ({"gaussians": -1}, "each has some"),
+        ({"gaussians": 10**30}, "each has some"),
+        ({"gaussians": 2.5}, "a number of Gaussians"),
+        ({"gaussians": None}, "a number of Gaussians"),
+    ],
+)
+def test_a_wheel_that_cannot_roll_is_refused(tmp_path, rolling, change, message):
+    asset_folder.write(rolling, tmp_path / "asset")
+    file = tmp_path / "asset" / "asset.json"
+    document = json.loads(file.read_text())
+    document["wheels"][0] |= change
+    file.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=message):
+        asset_folder.read(tmp_path / "asset")
+
+
+@pytest.mark.parametrize("wheels", [7, None, [7], {"hub": 1}])
+def test_wheels_that_are_no_list_of_wheels_are_refused(tmp_path, rolling, wheels):
+    asset_folder.write(rolling, tmp_path / "asset")
+    file = tmp_path / "asset" / "asset.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"wheels": wheels}))
+    with pytest.raises(InputError, match="wheel"):
         asset_folder.read(tmp_path / "asset")
 
 

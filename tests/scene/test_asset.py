@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dwgs.scene import Casting, Gaussians, Shading, VehicleAsset
-from dwgs.scene.pose import pose, transform_points, yaw_rotation
+from dwgs.scene import Casting, Gaussians, Shading, Trajectory, VehicleAsset, Wheel
+from dwgs.scene.pose import pitch_rotation, pose, rotation_from_quat, transform_points, yaw_rotation
 
 SIZE = np.array([4.0, 1.8, 1.5])
 SUN = np.array([0.48, -0.36, 0.8])
@@ -78,3 +78,48 @@ def test_a_shadow_that_nothing_is_known_of_turns_with_the_vehicle(points):
     at_rest = np.eye(4)
     asset = VehicleAsset(Gaussians.empty(), asset_of(points, at_rest).shadow, SIZE)
     assert asset.shadow_at(pose(yaw_rotation(1.0), np.zeros(3))) is asset.shadow
+
+
+HUB, RADIUS = np.array([1.3, -0.8, -0.4]), 0.35
+
+
+@pytest.fixture
+def on_wheels(points):
+    cloud = asset_of(points, np.eye(4)).shadow
+    return VehicleAsset(cloud, Gaussians.empty(), SIZE, wheels=(Wheel(HUB, RADIUS, 15), Wheel(HUB, RADIUS, 20)))
+
+
+def ahead(*xs):
+    return Trajectory(np.arange(float(len(xs))), pose(np.tile(np.eye(3), (len(xs), 1, 1)), np.outer(xs, [1.0, 0, 0])))
+
+
+def test_a_wheel_turns_by_the_way_over_its_radius(on_wheels):
+    still, wheel, _ = on_wheels.parts_at(ahead(0.0, 2.0), 0.5)
+    rotation, rest = pitch_rotation(1.0 / RADIUS), on_wheels.body[15:30]
+    np.testing.assert_allclose(wheel.means - HUB, (rest.means - HUB) @ rotation.T, atol=1e-6)
+    np.testing.assert_allclose(rotation_from_quat(wheel.quats), rotation @ rotation_from_quat(rest.quats), atol=1e-6)
+    np.testing.assert_array_equal(still.means, on_wheels.body.means[:15])
+
+
+def test_what_touches_the_ground_stays_there_while_a_wheel_rolls():
+    foot = asset_of(np.zeros((1, 3)), np.eye(4)).shadow
+    foot.means[:] = HUB - [0, 0, RADIUS]
+    asset = VehicleAsset(foot, Gaussians.empty(), SIZE, wheels=(Wheel(HUB, RADIUS, 1),))
+    step, drive = 1e-3, ahead(0.0, 1.0)
+    _, wheel = asset.parts_at(drive, step)
+    place = transform_points(drive.at(step), wheel.means)
+    np.testing.assert_allclose(place - foot.means, 0, atol=2e-6)
+
+
+def test_wheels_stand_with_the_vehicle_and_turn_back_with_it(on_wheels):
+    drive = ahead(0.0, 1.0, 1.0, 0.0)
+    begin, moved, stood, back = (on_wheels.parts_at(drive, t)[1].means for t in (0.0, 1.0, 2.0, 3.0))
+    np.testing.assert_array_equal(moved, stood)
+    np.testing.assert_allclose(back, begin, atol=1e-6)
+    assert np.abs(moved - begin).max() > 0.1
+
+
+def test_a_body_without_wheels_is_one_cloud_the_very_same_at_all_times(points):
+    asset = VehicleAsset(asset_of(points, np.eye(4)).shadow, Gaussians.empty(), SIZE)
+    (body,) = asset.parts_at(ahead(0.0, 1.0), 0.3)
+    assert body is asset.body

@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 from dwgs.scene.pose import (
     inverse,
     is_rigid,
+    pitch_rotation,
     pose,
     quat_from_rotation,
+    quat_product,
     rotation_from_quat,
     slerp,
     transform_points,
@@ -55,3 +57,13 @@ def test_yaw_turns_x_towards_y():
 def test_a_reflection_is_not_rigid():
     assert not is_rigid(np.diag([1.0, 1, -1, 1]))
     assert not is_rigid(np.full((4, 4), np.nan))
+
+
+@given(quats, quats)
+def test_a_product_of_quaternions_turns_by_one_after_the_other(a, b):
+    both = rotation_from_quat(a) @ rotation_from_quat(b)
+    np.testing.assert_allclose(rotation_from_quat(quat_product(a, b)), both, atol=1e-9)
+
+
+def test_what_looks_up_pitches_ahead():
+    np.testing.assert_allclose(pitch_rotation(np.pi / 2) @ [0, 0, 1], [1, 0, 0], atol=1e-12)

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dwgs.scene import Casting, InputError
+from dwgs.scene import Casting, InputError, Wheel
 from viewer.scene_graph import SceneGraph
 
 
@@ -31,6 +31,17 @@ def test_the_sun_does_not_turn_with_a_vehicle(street):
     (shadow, world_from_shadow), *_ = SceneGraph(None, [(cast, trajectory)]).clouds_at(0.5)
     moved = (shadow.means - asset.shadow.means) @ world_from_shadow[:3, :3].T
     np.testing.assert_allclose(moved, np.broadcast_to([-1.5, 0, 0], moved.shape), atol=1e-5)
+
+
+def test_wheels_are_clouds_of_their_own_that_turn_beside_what_stays_the_same(street):
+    asset, trajectory = street.actors[0]
+    rolling = replace(asset, wheels=(Wheel(np.array([1.2, 0.8, -0.4]), 0.3, 40),))
+    graph = SceneGraph(None, [(rolling, trajectory)])
+    (_, still, wheel), (_, later, turned) = ([cloud for cloud, _ in graph.clouds_at(t)] for t in (0.0, 0.1))
+    assert still is later
+    assert len(still) == len(asset.body) - 40
+    np.testing.assert_allclose(wheel.means, asset.body.means[-40:], atol=1e-6)
+    assert np.abs(turned.means - wheel.means).max() > 0.1
 
 
 def test_the_sky_is_the_backgrounds_or_else_the_backdrop(street):
