@@ -123,3 +123,15 @@ def test_a_body_without_wheels_is_one_cloud_the_very_same_at_all_times(points):
     asset = VehicleAsset(asset_of(points, np.eye(4)).shadow, Gaussians.empty(), SIZE)
     (body,) = asset.parts_at(ahead(0.0, 1.0), 0.3)
     assert body is asset.body
+
+
+def test_wheels_are_lit_as_the_rest_of_the_body_is(on_wheels):
+    count = len(on_wheels.body)
+    by_slope = np.random.default_rng(1).normal(size=(count, 2, 3)).astype(np.float32)
+    shading = Shading(by_slope, np.array([[-9.0, -9.0], [9.0, 9.0]]))
+    casting = Casting(SUN, np.array([0.0, 0.6, 0.8]), np.zeros(0, np.float32))
+    lit = replace(on_wheels, casting=casting, shading=shading)
+    drive = ahead(0.0, 1.0)
+    parts = Gaussians.concatenate(lit.parts_at(drive, 0.5))
+    np.testing.assert_array_equal(parts.sh, lit.body_at(drive.at(0.5)).sh)
+    assert np.abs(parts.sh - on_wheels.body.sh).max() > 0.1
