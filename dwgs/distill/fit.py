@@ -40,9 +40,9 @@ EYES = 12
 """So many frames, spread over the clip, say which sides they see."""
 ROLLING_STEPS, ROLLING_TIME = 0.35, 0.15
 """Shares of the steps, or of the time, that wheels get: the steps are made besides, the time is taken from the rest."""
-UNSETTLED, LEAST_ROLLING = 10.0, 0.5
-"""In less time than this [s], if time is given, poses are not right enough to see wheels turn; and if they are seen to,
-at least so much [s] is taken for them."""
+UNSETTLED, LEAST_ROLLING = 20.0, 0.5
+"""In less time than this [s], if time is given, the body needs all of it, and poses are hardly right enough to see
+wheels turn; and if they are seen to, at least so much [s] is taken for them."""
 COMPLETED = "share_completed_by_symmetry"
 """Key of a report."""
 SOLID = 0.5
