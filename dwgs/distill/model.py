@@ -59,7 +59,7 @@ class Vehicle:
         if casting is not None:
             self._heights = torch.from_numpy(casting.heights)[:, None]
             self._by_slope = torch.zeros(2, len(body), 3, requires_grad=True)
-            self._shader = torch.optim.Adam([self._by_slope], betas=recipe.body.betas, eps=EPSILON)
+            self._shader = torch.optim.Adam([self._by_slope], betas=recipe.body.betas, eps=EPSILON, fused=True)
         self._average: list[Tensor] = []
         self._averaged = 0
 
