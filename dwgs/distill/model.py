@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from dwgs.distill.config import Recipe
+from dwgs.distill.shading import Shader
 from dwgs.optimize import SplatParameters, Together
-from dwgs.optimize.adam import EPSILON
 from dwgs.scene import Casting, Gaussians, Shading
 from dwgs.splat import Splats
 
@@ -23,8 +23,6 @@ BODY_SCALES = (0.15, 0.15, 0.15)
 """Largest standard deviations of a body Gaussian [m]: beyond it lies fog."""
 SHADOW_SCALES = (0.3, 0.3, 0.02)
 """Largest standard deviations of a shadow Gaussian [m]: it stays flat."""
-SHADING_RATE = 0.1
-"""How far colours learn to follow the sun in a step."""
 CUT = 1 / 255
 """A Gaussian of lower opacity is never drawn."""
 
@@ -55,11 +53,10 @@ class Vehicle:
         ]
         self._together = Together(self._parts)
         self._casting, self._body = casting, len(body)
-        self._slope, self._slopes = np.zeros(2), np.zeros((2, 2))
+        self._slope = np.zeros(2)
         if casting is not None:
             self._heights = torch.from_numpy(casting.heights)[:, None]
-            self._by_slope = torch.zeros(2, len(body), 3, requires_grad=True)
-            self._shader = torch.optim.Adam([self._by_slope], betas=recipe.body.betas, eps=EPSILON, fused=True)
+            self._shader = Shader(len(body), recipe.body.betas)
         self._average: list[Tensor] = []
         self._averaged = 0
 
@@ -78,27 +75,23 @@ class Vehicle:
     def _turn(self, slope: NDArray[np.float64]) -> None:
         """See the sun from another heading."""
         if (slope != self._slope).any():
-            turn, colors = slope - self._slope, self.splats().sh.detach()[: self._body, 0]
-            self.splats().means.detach()[self._body :, :2].addcmul_(self._heights, torch.from_numpy(turn).float())
-            for by_slope, change in zip(self._by_slope.detach(), turn, strict=True):
-                colors.add_(by_slope, alpha=change)
+            turn = torch.from_numpy(slope - self._slope).float()
+            self.splats().means.detach()[self._body :, :2].addcmul_(self._heights, turn)
+            self._shader.turn(self.splats().sh.detach()[: self._body, 0], self._slope, slope)
             self._slope = slope
-            self._slopes = np.stack([np.minimum(self._slopes[0], slope), np.maximum(self._slopes[1], slope)])
 
     def step(self, factor: float, is_averaged: bool) -> None:
         """One step of Adam, rates times ``factor``; ``is_averaged`` adds it to the mean of `finish`."""
         if self._slope.any():
-            v_sh, slope = self.splats().sh.grad, torch.from_numpy(self._slope).float()
+            v_sh, slope = self.splats().sh.grad, self._slope
             self._turn(np.zeros(2))
             if v_sh is not None:
-                self._by_slope.grad = v_sh[: self._body, 0] * slope[:, None, None]
-                self._shader.param_groups[0]["lr"] = factor * SHADING_RATE
-                self._shader.step()
+                self._shader.step(v_sh[: self._body, 0], slope, factor)
         self._together.step(factor)
         if is_averaged:
             flats = [part.flat() for part in self._parts]
             if self._casting is not None:
-                flats.append(self._by_slope.detach().clone())
+                flats.append(self._shader.by_slope.clone())
             self._averaged += 1
             for average, flat in zip(self._average, flats, strict=False):
                 average.lerp_(flat, 1 / self._averaged)
@@ -109,8 +102,7 @@ class Vehicle:
         parts = [part.state_dict() for part in self._parts]
         state = {"parts": parts, "average": self._average, "averaged": self._averaged}
         if self._casting is not None:
-            slopes, adam = torch.from_numpy(self._slopes), self._shader.state_dict()
-            state["shading"] = {"by_slope": self._by_slope.detach(), "slopes": slopes, "adam": adam}
+            state["shader"] = self._shader.state_dict()
         return state
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -118,10 +110,7 @@ class Vehicle:
         for part, saved in zip(self._parts, state["parts"], strict=True):
             part.load_state_dict(saved)
         if self._casting is not None:
-            shading = state["shading"]
-            self._by_slope.detach().copy_(shading["by_slope"])
-            self._slopes = shading["slopes"].numpy()
-            self._shader.load_state_dict(shading["adam"])
+            self._shader.load_state_dict(state["shader"])
         self._slope = np.zeros(2)
         self._average, self._averaged = list(state["average"]), state["averaged"]
 
@@ -139,8 +128,8 @@ class Vehicle:
         is_drawn, is_dark, casting, shading = body.opacities >= CUT, shadow.opacities >= CUT, self._casting, None
         if casting is not None:
             casting = replace(casting, heights=casting.heights[is_dark])
-            by_slope = self._average[-1] if self._average else self._by_slope.detach()
-            shading = Shading(by_slope.numpy()[:, is_drawn].swapaxes(0, 1).copy(), self._slopes)
+            by_slope = self._average[-1] if self._average else self._shader.by_slope
+            shading = Shading(by_slope.numpy()[:, is_drawn].swapaxes(0, 1).copy(), self._shader.slopes)
         return body[is_drawn], shadow[is_dark], casting, shading
 
 
