@@ -17,7 +17,7 @@ RATE = 0.1
 class Shader:
     """Changes of the body's first coefficients per slope of the sun, see `dwgs.scene.Shading`, and Adam on them.
 
-    A step takes a fiftieth of the time that `torch.optim` takes to be imported.
+    Not with `torch.optim`, whose first use imports for more than a second: that is time a distillation is given.
 
     Args:
         count: Gaussians of the body.
