@@ -105,8 +105,9 @@ class ExactBackground:
         depth = torch.from_numpy(self._depths[index][window])
         before = (depth < interval[0]).float()
         depth = depth.nan_to_num(posinf=0)
-        front = rgb * before[..., None], depth * before, 1 - before
-        layers = Layers(*front, rgb * (1 - before)[..., None], depth * (1 - before), (depth > 0).float() * (1 - before))
+        front = (rgb * before[..., None], depth * before, 1 - before) if before.any() else None
+        behind = 1 - before
+        layers = Layers.of(front, (rgb * behind[..., None], depth * behind, (depth > 0).float() * behind))
         return FrozenView(layers, Projected(torch.zeros(0, 16)), torch.ones(3))
 
     def unexplained(self, tracks: Sequence[Track], time: float) -> Sequence[Track]:

@@ -9,7 +9,7 @@ stopping rule lets pass.
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -51,7 +51,7 @@ class FrozenView:
 
     def within(self, window: Window) -> "FrozenView":
         """Only a ``window`` of the window."""
-        layers = Layers(*(getattr(self.layers, f.name)[window.slices].contiguous() for f in fields(Layers)))
+        layers = self.layers.crop(*window.slices)
         records = self.between.records.clone()
         records[:, :2] -= torch.tensor([window.x, window.y])
         size = torch.tensor([window.width, window.height])
@@ -146,7 +146,7 @@ class FrozenBackground:
             open_sky = 1 - back.alpha >= STOP_TRANSMITTANCE  # elsewhere it counts as little as what is not drawn
             sky = torch.from_numpy(sky_colors(self._background.sky, pixel_rays(camera)[open_sky.numpy()]))
             back.rgb[open_sky] += (1 - back.alpha[open_sky])[:, None] * sky
-            layers = Layers(front.rgb, front.depth, 1 - front.alpha, back.rgb, back.depth, back.alpha)
+            layers = Layers.between(front, back)
             gain = self._background.exposure.get(camera_name, np.ones(3, np.float32))
             return FrozenView(layers, projected[~before & ~behind], torch.from_numpy(gain))
 

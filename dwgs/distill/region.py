@@ -92,7 +92,7 @@ def find_region(
     if not supervised.any():
         return None
     window = window_around(supervised, APRON)
-    supervised, reactive = window.of(supervised), window.of(reactive)
+    supervised, reactive = window.of(supervised).copy(), window.of(reactive).copy()  # the image need not stay
     bare = ~reactive if reactive.any() else ~supervised
     inside = window.camera(camera)
     own_depth = camera.project(world_from_vehicle[None, :3, 3])[1][0]

@@ -194,7 +194,5 @@ def _view_around(azimuth: float, elevation: float, length: float) -> tuple[View,
 
 
 def _grey_layers() -> Layers:
-    nothing, all_of_it = torch.zeros(HEIGHT, WIDTH), torch.ones(HEIGHT, WIDTH)
-    return Layers(
-        torch.zeros(HEIGHT, WIDTH, 3), nothing, all_of_it, torch.full((HEIGHT, WIDTH, 3), GROUND), nothing, all_of_it
-    )
+    grey = torch.full((HEIGHT, WIDTH, 3), GROUND)
+    return Layers.of(None, (grey, torch.zeros(HEIGHT, WIDTH), torch.ones(HEIGHT, WIDTH)))

@@ -154,37 +154,84 @@ class Objects:
 class Layers:
     """A frozen scene cut in two by centre depth: what lies in front of the Gaussians to come, and behind.
 
-    For a batch of views every image has one axis more in front.
+    Kept as the renderer reads them, plane by plane. For a batch of views every image has one axis more in front.
     """
 
-    front_rgb: Tensor
-    """[H, W, 3] premultiplied."""
-    front_depth: Tensor
-    """[H, W] premultiplied [m]."""
-    front_transmittance: Tensor
-    """[H, W]."""
-    back_rgb: Tensor
-    """[H, W, 3], over whatever ends the world; premultiplied where nothing does."""
-    back_depth: Tensor
-    """[H, W] premultiplied [m]."""
-    back_alpha: Tensor
-    """[H, W]."""
+    front: Tensor | None
+    """[5, H', W'] of whole tiles: r, g, b, depth, all premultiplied, and transmittance; 0 outside the image. None:
+    there is nothing."""
+    back: Tensor
+    """[5, H', W'] r, g, b, over whatever ends the world (premultiplied where nothing does), depth, premultiplied, and
+    alpha."""
+    height: int
+    """Of the image in them [px]."""
+    width: int
+
+    @staticmethod
+    def of(front: tuple[Tensor, Tensor, Tensor] | None, back: tuple[Tensor, Tensor, Tensor]) -> "Layers":
+        """From images [H, W, 3], [H, W] and [H, W]: colours, depths, and what the last plane holds."""
+        height, width = back[1].shape[-2:]
+        return Layers(None if front is None else _planes(*front), _planes(*back), height, width)
 
     @staticmethod
     def between(front: "Rendering", back: "Rendering") -> "Layers":
         """Layers of two renderings over black, detached."""
-        tensors = (front.rgb, front.depth, 1 - front.alpha, back.rgb, back.depth, back.alpha)
-        return Layers(*(t.detach() for t in tensors))
+        alpha = front.alpha.detach()
+        before = (front.rgb.detach(), front.depth.detach(), 1 - alpha) if alpha.any() else None
+        return Layers.of(before, (back.rgb.detach(), back.depth.detach(), back.alpha.detach()))
 
-    @cached_property
-    def front(self) -> Tensor:
-        """[..., 5, H', W'] r, g, b, depth, transmittance, whole tiles; transmittance 0 outside the image."""
-        return planes(self.front_rgb, self.front_depth, self.front_transmittance)
+    def crop(self, rows: slice, columns: slice) -> "Layers":
+        """Only this part of the images."""
+        part = ..., rows, columns
 
-    @cached_property
-    def back(self) -> Tensor:
-        """[..., 5, H', W'] r, g, b, depth, alpha, whole tiles."""
-        return planes(self.back_rgb, self.back_depth, self.back_alpha)
+        def cut(rgb: Tensor, depth: Tensor, last: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+            return rgb.movedim(-1, -3)[part].movedim(-3, -1), depth[part], last[part]
+
+        before = None if self.front is None else cut(self.front_rgb, self.front_depth, self.front_transmittance)
+        return Layers.of(before, cut(self.back_rgb, self.back_depth, self.back_alpha))
+
+    @property
+    def front_rgb(self) -> Tensor:
+        """[H, W, 3] premultiplied."""
+        return self._image(self._before[..., :3, :, :]).movedim(-3, -1)
+
+    @property
+    def front_depth(self) -> Tensor:
+        """[H, W] premultiplied [m]."""
+        return self._image(self._before[..., 3, :, :])
+
+    @property
+    def front_transmittance(self) -> Tensor:
+        """[H, W]."""
+        return self._image(self._before[..., 4, :, :])
+
+    @property
+    def back_rgb(self) -> Tensor:
+        """[H, W, 3]."""
+        return self._image(self.back[..., :3, :, :]).movedim(-3, -1)
+
+    @property
+    def back_depth(self) -> Tensor:
+        """[H, W] premultiplied [m]."""
+        return self._image(self.back[..., 3, :, :])
+
+    @property
+    def back_alpha(self) -> Tensor:
+        """[H, W]."""
+        return self._image(self.back[..., 4, :, :])
+
+    @property
+    def _before(self) -> Tensor:
+        """The front, all clear where there is none."""
+        if self.front is not None:
+            return self.front
+        clear = torch.zeros_like(self.back)
+        clear[..., 4, : self.height, : self.width] = 1
+        return clear
+
+    def _image(self, planes: Tensor) -> Tensor:
+        """Without what fills the last tiles."""
+        return planes[..., : self.height, : self.width]
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +293,7 @@ class Rendering:
     """An image of Gaussians; of a batch of views, all has one axis more in front."""
 
     rgb: Tensor
-    """[H, W, 3], premultiplied: over black, or over ``Layers.back_rgb``."""
+    """[H, W, 3], premultiplied: over black, or over ``Layers.back``."""
     depth: Tensor
     """[H, W] sum of weight times centre depth [m]."""
     alpha: Tensor
@@ -266,7 +313,7 @@ class Rendering:
         return self.rgb + (1 - self.alpha)[..., None] * background
 
 
-def planes(rgb: Tensor, depth: Tensor, last: Tensor) -> Tensor:
+def _planes(rgb: Tensor, depth: Tensor, last: Tensor) -> Tensor:
     """[..., 5, H', W'] of whole tiles from [..., H, W, 3] and twice [..., H, W]; zeros outside."""
     height, width = depth.shape[-2:]
     out = rgb.new_zeros(*depth.shape[:-2], 5, *whole_tiles(height, width))

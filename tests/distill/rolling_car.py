@@ -63,8 +63,8 @@ def shots_of(trajectory: Trajectory, radius: float = RADIUS) -> list[tuple[Shot,
     for i, time in enumerate(trajectory.times):
         camera, stands = camera_at(time), trajectory.at(time)
         pixels = paint(camera, trajectory, radius)
-        zero, one = torch.zeros(HEIGHT, WIDTH), torch.ones(HEIGHT, WIDTH)
-        layers = Layers(torch.zeros(HEIGHT, WIDTH, 3), zero, one, torch.ones(HEIGHT, WIDTH, 3), one, one)
+        one = torch.ones(HEIGHT, WIDTH)
+        layers = Layers.of(None, (torch.ones(HEIGHT, WIDTH, 3), one, one))
         frozen = FrozenView(layers, Projected(torch.zeros(0, 16)), torch.ones(3))
         everywhere = np.ones((HEIGHT, WIDTH), bool)
         region = Region(Window(0, 0, WIDTH, HEIGHT), everywhere, ~everywhere, ~everywhere)

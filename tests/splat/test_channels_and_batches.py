@@ -66,7 +66,8 @@ def test_a_batch_is_its_views(make_cloud, make_view, leaves):
     features = torch.randn(len(splats), 2).requires_grad_()
     front, back = ([render(make_cloud(n=40, seed=s), v) for v in views] for s in (5, 6))
     layers = [Layers.between(f, b) for f, b in zip(front, back, strict=True)]
-    stacked = Layers(*(torch.stack([getattr(one, f) for one in layers]) for f in Layers.__dataclass_fields__))
+    fronts, backs = (torch.stack([getattr(one, name) for one in layers]) for name in ("front", "back"))
+    stacked = replace(layers[0], front=fronts, back=backs)
     tensors = [features, *leaves(splats)]
     singles = [render(splats, v, one, features=features) for v, one in zip(views, layers, strict=True)]
     joined = Rendering(*(torch.stack([getattr(s, f) for s in singles]) for f in Rendering.__dataclass_fields__))

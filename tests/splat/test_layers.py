@@ -1,6 +1,6 @@
 """A frozen scene as layers shows what the whole scene shows."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 import torch
@@ -67,6 +67,40 @@ def test_no_gaussians_between_layers_show_the_layers(scene, make_cloud):
     rendering = render(make_cloud(n=0), view, layers)
     expected = layers.front_rgb + layers.front_transmittance[..., None] * layers.back_rgb
     assert (rendering.rgb - expected).abs().max() < 1e-6
+
+
+def test_nothing_in_front_is_a_clear_layer(scene, leaves, gradients):
+    _, vehicle, view, layers, _ = scene
+    bare = replace(layers, front=None)
+    clear = Layers.of((bare.front_rgb, bare.front_depth, bare.front_transmittance), images(layers)[1])
+    assert clear.front is not None
+    assert clear.front_transmittance.min() == 1
+    tensors = leaves(vehicle, view)
+    ours, theirs = render(vehicle, view, bare), render(vehicle, view, clear)
+    assert torch.equal(ours.rgb, theirs.rgb)
+    assert torch.equal(ours.depth, theirs.depth)
+    for a, b in zip(gradients(ours, tensors), gradients(theirs, tensors), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_a_part_of_layers_is_that_part_of_their_images(scene):
+    layers = scene[3]
+    rows, columns = slice(3, 20), slice(5, 38)
+    part = layers.crop(rows, columns)
+    for cut, whole in zip(sum(images(part), ()), sum(images(layers), ()), strict=True):
+        assert torch.equal(cut, whole[rows, columns])
+
+
+def test_layers_without_a_front_keep_none(scene, make_cloud):
+    _, vehicle, view, layers, _ = scene
+    nothing, something = render(make_cloud(n=0), view), render(vehicle, view)
+    assert Layers.between(nothing, something).front is None
+    assert replace(layers, front=None).crop(slice(4), slice(4)).front is None
+
+
+def images(layers: Layers) -> tuple:
+    front = layers.front_rgb, layers.front_depth, layers.front_transmittance
+    return front, (layers.back_rgb, layers.back_depth, layers.back_alpha)
 
 
 def test_frozen_records_take_no_gradient_and_change_none(make_cloud, make_view, leaves, gradients):

@@ -44,7 +44,7 @@ def look(
         tensor.requires_grad_()
     if "layers" in options:
         layers = options["layers"]
-        options["layers"] = Layers(*(getattr(layers, f.name).to(where) for f in fields(Layers)))
+        options["layers"] = replace(layers, front=layers.front.to(where), back=layers.back.to(where))
     rendering = render(splats, view, **options)
     random = torch.Generator().manual_seed(7)
     losses = []

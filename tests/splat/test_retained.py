@@ -13,7 +13,7 @@ def layers_of(view: View) -> Layers:
     shape = view.height, view.width
     front, back = (torch.rand(*shape, 3, generator=random) for _ in range(2))
     depth, alpha = (torch.rand(*shape, generator=random) for _ in range(2))
-    return Layers(0.3 * front, depth, torch.full(shape, 0.7), back, depth, alpha)
+    return Layers.of((0.3 * front, depth, torch.full(shape, 0.7)), (back, depth, alpha))
 
 
 @pytest.fixture

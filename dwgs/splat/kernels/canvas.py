@@ -19,8 +19,8 @@ import warp as wp
 class Canvas:
     """Size of one image [px], tiles across and down it; Gaussians per view.
 
-    If ``layered``, what lies in front (fifth plane: transmittance) and behind, [V, 5, H', W'] each. ``feature`` is
-    [Gaussians, features].
+    What lies in front (fifth plane: transmittance) and behind, [V, 5, H', W'] each, where there is such. ``feature``
+    is [Gaussians, features].
     """
 
     width: int
@@ -28,8 +28,9 @@ class Canvas:
     tiles_across: int
     tiles_down: int
     gaussians: int
-    layered: int
+    has_front: int
     front: wp.array(dtype=float)
+    has_back: int
     back: wp.array(dtype=float)
     features: int
     feature: wp.array(dtype=float)

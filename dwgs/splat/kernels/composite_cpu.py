@@ -45,7 +45,7 @@ _PRELUDE = f"""
     const block e2 = zero + numeral[7], e1 = zero + numeral[8], e0 = zero + numeral[9];
 
     const int width = canvas.width, height = canvas.height;
-    const bool layered = canvas.layered;
+    const bool has_front = canvas.has_front, has_back = canvas.has_back;
     const int stride = canvas.tiles_across * 16, plane = stride * canvas.tiles_down * 16;
     const int view = tile / (canvas.tiles_across * canvas.tiles_down);
     const int inside = tile - view * canvas.tiles_across * canvas.tiles_down;
@@ -105,7 +105,7 @@ _PRELUDE = f"""
     unsigned alive = 0;  // blocks where a pixel takes light
     for (int b = 0; b < 16; ++b) {{
         const mask inside = (pixel_x[b] < (float)columns) & (pixel_y[b] < (float)rows);
-        T[b] = inside ? (layered ? load(front, 4, b) : one) : zero;
+        T[b] = inside ? (has_front ? load(front, 4, b) : one) : zero;
         alive |= (bits(T[b] >= stop) != 0) << b;
     }}
 """
@@ -161,7 +161,7 @@ _FORWARD = f"""
     block C[16][4];
     block* const more = blocks_of(16 * features);
     for (int b = 0; b < 16; ++b) {{
-        for (int c = 0; c < 4; ++c) C[b][c] = layered ? load(front, c, b) : zero;
+        for (int c = 0; c < 4; ++c) C[b][c] = has_front ? load(front, c, b) : zero;
         for (int f = 0; f < features; ++f) more[b * features + f] = zero;
     }}
     for (int first = begin; first < end && alive; first += 16) {{
@@ -192,10 +192,10 @@ _FORWARD = f"""
     }};
     for (int b = 0; b < 16; ++b) {{
         for (int c = 0; c < 4; ++c) {{
-            if (layered) C[b][c] += T[b] * load(back, c, b);
+            if (has_back) C[b][c] += T[b] * load(back, c, b);
             store(c, b, C[b][c]);
         }}
-        if (layered) T[b] *= 1.0f - load(back, 4, b);
+        if (has_back) T[b] *= 1.0f - load(back, 4, b);
         store(4, b, 1.0f - T[b]);
         for (int f = 0; f < features; ++f) store(5 + f, b, more[b * features + f]);
     }}
@@ -236,7 +236,7 @@ _ADJOINT = f"""
         for (int c = 0; c < 5; ++c) {{
             v[b][c] = c < 3 ? gradient(v_image.rgb, c, b) : gradient(c < 4 ? v_image.depth : v_image.alpha, 0, b);
             block behind = load(shown, c, b);
-            if (layered) behind -= c < 4 ? load(front, c, b) : 1.0f - T[b];
+            if (has_front) behind -= c < 4 ? load(front, c, b) : 1.0f - T[b];
             rest[b] += v[b][c] * behind;
         }}
         for (int f = 0; f < features; ++f) {{

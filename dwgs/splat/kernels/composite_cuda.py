@@ -74,11 +74,11 @@ def _prelude(batch: int) -> str:
     float* const shown = image.data + view * (5ll + features) * plane + at;
     const float *const front = canvas.front.data + view * 5 * plane + at, *const back = canvas.back.data
         + view * 5 * plane + at;
-    const bool layered = canvas.layered;
+    const bool has_front = canvas.has_front, has_back = canvas.has_back;
     auto feature_of = [&](int gaussian, int f) -> float {{
         return canvas.feature.data[(gaussian - before) * (long long)features + f];
     }};
-    float T = layered ? front[4 * plane] : column < canvas.width && row < canvas.height ? 1.0f : 0.0f;
+    float T = has_front ? front[4 * plane] : column < canvas.width && row < canvas.height ? 1.0f : 0.0f;
 
     // x, y, conic | conic, opacity, colour | colour, depth; after the last of a batch comes nobody, who is transparent
     struct alignas(16) Row {{ float a, b, c, d; }};
@@ -183,7 +183,7 @@ _COMPOSITE = f"""
     const int first = span[0], end = span[1];
 {_prelude(SEGMENT)}
     float total[5] = {{}};
-    if (layered) for (int c = 0; c < 4; ++c) total[c] = front[c * plane];
+    if (has_front) for (int c = 0; c < 4; ++c) total[c] = front[c * plane];
     total[4] = 1.0f - T;
     #pragma unroll 1
     for (int f = 0; f < features; ++f) shown[(5 + f) * plane] = 0.0f;
@@ -224,7 +224,7 @@ _COMPOSITE = f"""
                     shown[(5 + f) * plane] += w[i] * feature_of(gaussian_of(k[i]), f);
         }}
     }}
-    for (int c = 0; c < 5; ++c) shown[c * plane] = total[c] + (layered ? T * back[c * plane] : 0.0f);
+    for (int c = 0; c < 5; ++c) shown[c * plane] = total[c] + (has_back ? T * back[c * plane] : 0.0f);
 """
 
 _ADJOINT = f"""

@@ -169,8 +169,9 @@ def canvas_of(view: View, records: Tensor, layers: Layers | None, feature: Tenso
     canvas.width, canvas.height = view.width, view.height
     canvas.tiles_across, canvas.tiles_down = view.tiles
     canvas.gaussians = records.shape[1]
-    canvas.layered = int(layers is not None)
     if layers is not None:
-        canvas.front, canvas.back = wp.from_torch(layers.front.view(-1)), wp.from_torch(layers.back.view(-1))
+        canvas.has_back, canvas.back = 1, wp.from_torch(layers.back.view(-1))
+        if layers.front is not None:
+            canvas.has_front, canvas.front = 1, wp.from_torch(layers.front.view(-1))
     canvas.features, canvas.feature = feature.shape[1], wp.from_torch(feature.view(-1))
     return canvas
