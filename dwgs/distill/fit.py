@@ -31,6 +31,7 @@ from dwgs.optimize import Checkpoint, Evaluated, Event, Grown, count_steps, fill
 from dwgs.scene import Background, Gaussians, InputError, Insertion, Scene, Trajectory, VehicleAsset
 from dwgs.scene.pose import inverse
 from dwgs.splat import Splats, View
+from dwgs.splat.parallel import torch_alone
 
 PREPARING = 0.3
 """Share of the time that is left once the frames are chosen, if time is given, in which they are prepared."""
@@ -85,6 +86,19 @@ def distill(
         raise InputError(f"a distillation has at least one step and one Gaussian, and some time, got {config}")
     started = time.monotonic()
     frozen = FrozenBackground(background, scene.all_frames()) if isinstance(background, Background) else background
+    with torch_alone():
+        return (yield from _distill(scene, frozen, insertion, config, checkpoint, started))
+
+
+def _distill(
+    scene: Scene,
+    frozen: Frozen,
+    insertion: Insertion,
+    config: DistillConfig,
+    checkpoint: Checkpoint | None,
+    started: float,
+) -> Generator[Event, None, Distilled]:
+    """What `distill` does, in the time since it ``started`` [s]."""
     before = frozen.fingerprint()
     is_generated = any(frame.load_reactive_mask is not None for frame in scene.all_frames())
     recipe = GENERATED if is_generated else RECORDED

@@ -47,11 +47,8 @@ class _Entry:
     def __init__(self, kernel: Any, inputs: Sequence) -> None:
         command: Any = wp.launch(kernel, 1, list(inputs), device="cpu", record_tape=False, record_cmd=True)
         self._bounds, *arguments = command.params
-        names = [f"_{k}" for k in range(len(arguments))]
-        struct = type(
-            "Arguments", (ctypes.Structure,), {"_fields_": list(zip(names, map(type, arguments), strict=True))}
-        )
-        self._arguments, self._keep, self._call = struct(*arguments), (command, inputs), command.hooks.forward
+        self._arguments = _struct(*map(type, arguments))(*arguments)
+        self._keep, self._call = (command, inputs), command.hooks.forward
         self.address = ctypes.cast(self._call, ctypes.c_void_p).value
         self.arguments = ctypes.addressof(self._bounds), ctypes.addressof(self._arguments)
 

@@ -8,10 +8,12 @@ the number of threads; neither Warp's atomics nor its tiles are safe in threads.
 
 import itertools
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
+import torch
 import warp as wp
 
 from dwgs.splat.kernels import bin_cuda, composite_cpu, composite_cuda, crew, gather, project
@@ -34,6 +36,17 @@ def load(device: wp.Device) -> None:
             for module in _MODULES["cpu" if device.is_cpu else "cuda"]:
                 wp.load_module(module.__name__, device=device)
             _loaded.add(device.alias)
+
+
+@contextmanager
+def torch_alone() -> Iterator[None]:
+    """Torch computes on the calling thread alone: beside our threads its own come late, to work that is soon done."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def even(items: int, least: int, threads: int) -> list[int]:
