@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from dwgs.distill.lacquer import PARTS, mirrored
 from dwgs.distill.shots import Shot
 from dwgs.scene import Gaussians
 from dwgs.scene.pose import rotation_from_quat
@@ -37,8 +38,8 @@ class Appearance:
     """[N, 3] sRGB before exposure; 0 where none was seen."""
     pixels: NDArray[np.float64]
     """[N] how many showed it."""
-    cosines: NDArray[np.float64]
-    """[N] between the normal and the direction to the cameras."""
+    mirrored: NDArray[np.float64]
+    """[N, PARTS] shares of its surroundings that it mirrored, see `lacquer`."""
 
     @property
     def is_seen(self) -> NDArray[np.bool_]:
@@ -63,13 +64,13 @@ def look(body: Gaussians, shots: Sequence[Shot], are_outward: bool, threads: int
     areas = np.pi * body.scales[:, 0] * body.scales[:, 1]
     with ThreadPoolExecutor(threads) as pool:
         looks = pool.map(lambda shot: _look_once(body, normals, areas, solid, shot), shots)
-        pixels, colors, cosines = (np.sum(parts, 0) for parts in zip(*looks, strict=True))
-    share = 1 / np.maximum(pixels, 1e-12)
-    return Appearance(normals, colors * share[:, None], pixels, cosines * share)
+        pixels, colors, shares = (np.sum(parts, 0) for parts in zip(*looks, strict=True))
+    mean = 1 / np.maximum(pixels, 1e-12)[:, None]
+    return Appearance(normals, colors * mean, pixels, shares * mean)
 
 
 def _look_once(body, normals, areas, solid, shot):
-    """Pixels [N] of each disc in one frame, and sums over them of colours [N, 3] and cosines [N]."""
+    """Pixels [N] of each disc in one frame, and sums over them of colours [N, 3] and what is mirrored [N, PARTS]."""
     with torch.no_grad():
         rendering = render(solid, shot.view, threads=1)
     depth = rendering.expected_depth.numpy()
@@ -77,7 +78,8 @@ def _look_once(body, normals, areas, solid, shot):
     shows = shows.numpy() & shot.sight.region.supervised
     camera_from_vehicle = shot.view.viewmat.double().numpy()
     in_camera = body.means @ camera_from_vehicle[:3, :3].T + camera_from_vehicle[:3, 3]
-    cosines = -(normals * (in_camera @ camera_from_vehicle[:3, :3])).sum(1) / np.linalg.norm(in_camera, axis=1)
+    toward = -in_camera @ camera_from_vehicle[:3, :3]
+    cosines = (normals * toward).sum(1) / np.linalg.norm(toward, axis=1)
     fx, fy, cx, cy = shot.view.intrinsics
     z = np.maximum(in_camera[:, 2], NEAR)
     x, y = fx * in_camera[:, 0] / z + cx, fy * in_camera[:, 1] / z + cy
@@ -85,10 +87,11 @@ def _look_once(body, normals, areas, solid, shot):
     is_shown &= cosines > GRAZING
     column, row = np.floor(x[is_shown]).astype(int), np.floor(y[is_shown]).astype(int)
     is_shown[is_shown] = shows[row, column] & (z[is_shown] < depth[row, column] + BEHIND)
-    pixels, colors = np.zeros(len(body)), np.zeros((len(body), 3))
+    pixels, colors, shares = np.zeros(len(body)), np.zeros((len(body), 3)), np.zeros((len(body), PARTS))
     pixels[is_shown] = (areas * cosines * fx * fy / z**2)[is_shown]
     image = shot.pixels.astype(np.float32) / 255 / shot.frozen.gain.numpy()
     places = y[is_shown] - 0.5, x[is_shown] - 0.5
     for c in range(3):
         colors[is_shown, c] = map_coordinates(image[..., c], places, order=1, mode="nearest")
-    return pixels, colors * pixels[:, None], cosines * pixels
+    shares[is_shown] = mirrored(normals[is_shown], toward[is_shown])
+    return pixels, colors * pixels[:, None], shares * pixels[:, None]

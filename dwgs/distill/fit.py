@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dwgs.distill.config import GENERATED, RECORDED, DistillConfig
 from dwgs.distill.coverage import Coverage
 from dwgs.distill.evaluate import Score, of_sectors, score, summary
-from dwgs.distill.initialize import initialize_body
+from dwgs.distill.initialize import find_surface, initialize_body
 from dwgs.distill.layers import Frozen, FrozenBackground
 from dwgs.distill.learner import Learner
 from dwgs.distill.model import Vehicle, vehicle_bounds
@@ -106,9 +106,10 @@ def _distill(
     sights = find_sights(scene, frozen, insertion, recipe, config.threads)
     count = math.ceil(min(config.gaussians, PER_SECOND * (config.seconds or math.inf)))
     with ThreadPoolExecutor(1) as pool:
-        body = pool.submit(initialize_body, insertion.vehicle, insertion.size, count, _eyes(sights))
+        outside = pool.submit(find_surface, insertion.vehicle, insertion.size)
+        body = pool.submit(lambda: initialize_body(outside.result(), count, _eyes(sights)))
         shadow = initialize_shadow(insertion.size, config.shadow_margin, sights)
-    discs = body.result()
+    surface, discs = outside.result(), body.result()
     yield Grown(0, len(discs) + len(shadow))
     poses: BoxPoses | None = BoxPoses(sights, recipe, config.threads)
     if not (recipe.refines_poses or poses.is_rough()):
@@ -132,10 +133,11 @@ def _distill(
         deadline = chosen + PREPARING * (started + config.seconds - chosen)
     prepared_shots = yield from prepare([sights[i] for i in learnt], deadline=deadline)
     shots = dict(sorted(zip(learnt, prepared_shots, strict=False)))
+    casting = find_casting(list(shots.values()), insertion, shadow, config.shadow_margin)
     imagined = None
     if config.symmetry and insertion.vehicle.is_complete:  # a scan's far side is mirrored as it is, with its light
-        imagined = imagine(discs, insertion.vehicle, list(shots.values()), config.threads)
-    casting = find_casting(list(shots.values()), insertion, shadow, config.shadow_margin)
+        sun = None if casting is None else casting.sun_at_rest
+        imagined = imagine(discs, surface, list(shots.values()), sun, config.threads)
     begun = discs if imagined is None else imagined.body
     vehicle = Vehicle(begun, shadow, insertion.size, recipe, casting)
     may_roll = not is_generated and are_wheels_seen([(shot, shot.view) for shot in shots.values()], insertion.size)

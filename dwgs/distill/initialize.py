@@ -1,6 +1,7 @@
 """Where the Gaussians of the body begin."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,25 +22,34 @@ COARSER = 2.0
 """Discs that no camera sees lie so many times as far apart."""
 
 
-def initialize_body(vehicle: VehiclePoints, size: NDArray, count: int, eyes: Sequence[NDArray]) -> Gaussians:
-    """Discs on the vehicle's surface, at most ``count``, spaced evenly, with colours of degree 1.
+def find_surface(vehicle: VehiclePoints, size: NDArray) -> VehiclePoints:
+    """The points that show, of those in the box, grown by 10 %: not those of seats and of the insides of doors.
 
-    A scan is mirrored about the plane y = 0 where only one side was seen. Points that show from no side, as of seats
-    and the insides of doors, are left out, and those outside the box, grown by 10 %. What none of the ``eyes`` [3] in
-    the vehicle's frame sees gets fewer discs. Raises `InputError` where all points lie outside the box.
+    A scan is mirrored about the plane y = 0 where only one side was seen. Raises `InputError` where all points lie
+    outside the box.
     """
-    points, colors, normals = vehicle.points, vehicle.colors / np.float32(255), vehicle.normals
+    points, colors, normals = vehicle.points, vehicle.colors, vehicle.normals
     if not vehicle.is_complete:
         points, colors, normals = _mirrored(points, colors, normals)
-    candidates = np.flatnonzero((np.abs(points) <= 0.55 * np.asarray(size)).all(1))
-    if len(candidates) == 0:
+    within = np.flatnonzero((np.abs(points) <= 0.55 * np.asarray(size)).all(1))
+    if len(within) == 0:
         raise InputError(
             f"a vehicle's points lie in its box of {np.round(size, 2)} m about the origin, "
             f"none of {len(points)} does; check the unit and the origin of the points"
         )
-    candidates = candidates[is_exposed(points[candidates])]
-    chosen, colors = _thinned(points, colors, candidates, is_seen(points[candidates], eyes), count)
-    points = points[chosen]
+    shown = within[is_exposed(points[within])]
+    return replace(
+        vehicle, points=points[shown], colors=colors[shown], normals=None if normals is None else normals[shown]
+    )
+
+
+def initialize_body(surface: VehiclePoints, count: int, eyes: Sequence[NDArray]) -> Gaussians:
+    """Discs on a vehicle's surface, at most ``count``, spaced evenly, with colours of degree 1.
+
+    What none of the ``eyes`` [3] in the vehicle's frame sees gets fewer discs.
+    """
+    chosen, colors = _thinned(surface.points, surface.colors / np.float32(255), is_seen(surface.points, eyes), count)
+    points, normals = surface.points[chosen], surface.normals
 
     tree = KDTree(points)
     neighbours = min(NEIGHBOURS, len(points))
@@ -73,23 +83,23 @@ def _mirrored(points, colors, normals):
     return points, colors, normals
 
 
-def _thinned(points, colors, candidates, seen, count):
+def _thinned(points, colors, seen, count):
     """One point per voxel, the first, with the mean colour; voxels as small as ``count`` allows."""
-    x, y, z = points[candidates].T / np.where(seen, 1, COARSER)
+    x, y, z = points.T / np.where(seen, 1, COARSER)
 
     def cells(voxel: float) -> NDArray:
         i, j, k = (np.floor(a / voxel).astype(np.int64) + (1 << 19) for a in (x, y, z))
         return (seen.astype(np.int64) << 60) | (i << 40) | (j << 20) | k
 
-    if len(candidates) <= count:
-        return candidates, colors[candidates]
+    if len(points) <= count:
+        return np.arange(len(points)), colors
     low, high = 1e-3, 1.0
     for _ in range(12):
         middle = (low * high) ** 0.5
         low, high = (middle, high) if len(np.unique(cells(middle))) > count else (low, middle)
     _, first, voxel_of_point = np.unique(cells(high), return_index=True, return_inverse=True)
-    sums = np.stack([np.bincount(voxel_of_point, channel) for channel in colors[candidates].T], 1)
-    return candidates[first], sums / np.bincount(voxel_of_point)[:, None]
+    sums = np.stack([np.bincount(voxel_of_point, channel) for channel in colors.T], 1)
+    return first, sums / np.bincount(voxel_of_point)[:, None]
 
 
 def _principal_axes(points, indices):

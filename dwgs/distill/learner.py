@@ -17,9 +17,6 @@ from dwgs.splat import Drawing, RetainedCloud
 
 TAIL = 0.1
 """Fraction of the schedule, its end, over which the result is averaged."""
-PULLED = 0.75
-"""Fraction of the schedule after which imagined views pull only what no frame shows: all that is hardly seen would not
-settle, which costs 0.2 dB after 4,000 steps and 0.6 after 10,000."""
 EVENNESS = (0.5, 2.0)
 """Bounds on the weight that makes every view equally heavy."""
 SETTLINGS, LEAST_BETWEEN = 3, 8
@@ -70,7 +67,7 @@ class Learner:
             pull = self._pull if pace.step % EVERY == 0 else None
             if pull is not None:
                 self._vehicle.stand(self._shots[learnt[turn]].sight.world_from_vehicle)
-                pull.draw(pace.step // EVERY, is_late=pace.progress > PULLED)
+                pull.draw(pace.step // EVERY)
             loss = self._learn(learnt[turn], watches=pace.step > len(learnt))
             if pull is not None:
                 pull.add()

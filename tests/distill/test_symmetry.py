@@ -7,6 +7,7 @@ from toy_street import Toy, box_surface, cloud, make_toy, paint
 
 from dwgs.distill import DistillConfig
 from dwgs.distill.appearance import Appearance
+from dwgs.distill.lacquer import mirrored
 from dwgs.distill.light import find_light
 from dwgs.distill.symmetry import complete
 from dwgs.metrics import psnr
@@ -72,10 +73,38 @@ def test_a_side_whose_points_are_painted_otherwise_stays_so():
     paints = np.where(means[:, 1:2] > 0, [0.1, 0.2, 0.7], [0.7, 0.2, 0.1])
     seen = normals[:, 1] < 0
     once, colors = seen.astype(float), np.where(seen[:, None], 0.9 * paints, 0)
-    appearance = Appearance(normals, colors, once, once)
-    completed = complete(means, paints, appearance, find_light(paints, appearance))
+    appearance = Appearance(normals, colors, once, mirrored(normals, normals))
+    light = find_light(paints, appearance)
+    completed = complete(means, paints, appearance, light).colors(light, normals)
     red, _, blue = completed[normals[:, 1] > 0].mean(0)
     assert blue > red + 0.25
+
+
+def shown_in(colors, seen):
+    """A row of discs that face right, as far as they are ``seen`` in these colours."""
+    means = np.column_stack([np.linspace(0, 4, len(seen)), np.full((len(seen), 2), -1.0)])
+    normals, once = np.tile([0, -1.0, 0], (len(seen), 1)), seen.astype(float)
+    return means, Appearance(normals, np.where(seen[:, None], colors, 0), once, mirrored(normals, normals))
+
+
+def test_what_frames_show_is_believed_though_light_does_not_explain_it():
+    seen = np.ones(200, bool)
+    colors = np.random.default_rng(0).uniform(0.2, 0.8, (200, 3))
+    means, appearance = shown_in(colors, seen)
+    light = find_light(np.full((200, 3), 0.5), appearance)
+    completed = complete(means, np.full((200, 3), 0.5), appearance, light)
+    np.testing.assert_allclose(completed.colors(light, appearance.normals), colors, atol=1e-6)
+
+
+def test_one_stain_at_the_edge_of_what_is_shown_does_not_run_over_all_the_rest():
+    seen = np.arange(200) < 100
+    colors = np.where(np.arange(200)[:, None] < 90, [0.5, 0.5, 0.5], [0.9, 0.1, 0.1])
+    means, appearance = shown_in(colors, seen)
+    light = find_light(np.full((200, 3), 0.5), appearance)
+    completed = complete(means, np.full((200, 3), 0.5), appearance, light).colors(light, appearance.normals)
+    next_to_it, far = completed[100], completed[-1]
+    assert next_to_it[0] > 0.8
+    np.testing.assert_allclose(far, 0.5, atol=0.06)
 
 
 def test_the_asset_says_what_symmetry_completed(symmetric):
