@@ -32,12 +32,14 @@ class Oracle(Workload):
 
     frames: int = 193
     """Length of the clip."""
+    steps: int = 1200
+    """Of each distillation."""
 
     def measure(self) -> list[Metric]:
         """Fit, hold against the truth."""
         from benchmarks.workloads import oracle
 
-        return oracle.run(self.frames)
+        return oracle.run(self.frames, self.steps)
 
 
 @dataclass(frozen=True)

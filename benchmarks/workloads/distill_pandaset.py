@@ -47,7 +47,7 @@ def run(
     if vehicle is not None:
         points, size, _ = load_vehicle(vehicle)
         clip = scene.select(frames=EDITED)
-        insertion = Insertion(points, size, place_ahead(clip, size, AHEAD, LEFT))
+        insertion = Insertion(points, size, place_ahead(clip, size, AHEAD, LEFT, None))
         with TemporaryDirectory() as temporary:
             video = Path(temporary) / "edited"
             task = progress.add_task("paint", total=len(clip.all_frames()))

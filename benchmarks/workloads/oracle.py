@@ -5,6 +5,7 @@ The oracle renders the true vehicle with its true light, so nothing here is the 
 
 from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -29,19 +30,19 @@ SEEN = 0.02
 T = TypeVar("T")
 
 
-def run(frames: int) -> list[Metric]:
-    """Fit the vehicle of the embedded street; judge held-out frames and unseen orbit views.
+def run(frames: int, steps: int) -> list[Metric]:
+    """Fit the vehicle of the embedded street, in so many steps; judge held-out frames and unseen orbit views.
 
     Once before the street as it is, which leaves the vehicle alone to be at fault, once before a reconstruction. What
     symmetry is worth is measured in that light, which falls from the left, where no camera looks, and in even light.
     """
     street = build_street(frames=frames)
-    insertion = street.insertion()
+    insertion, config = street.insertion(), DistillConfig(steps=steps)
     with Progress() as progress:
-        report, orbit = distil_twice(street, progress)
-        even_orbit = distil_twice(build_street(frames=(frames + 1) // 2, sun_azimuth=BEHIND), progress)[1]
+        report, orbit = distil_twice(street, config, progress)
+        even_orbit = distil_twice(build_street(frames=(frames + 1) // 2, sun_azimuth=BEHIND), config, progress)[1]
         background, fit = follow(reconstruct(street.scene(), ReconstructConfig()), progress, "reconstruct")
-        before_it = distill(street.oracle(insertion), background, insertion, DistillConfig())
+        before_it = distill(street.oracle(insertion), background, insertion, config)
         fitted = follow(before_it, progress, "distill before it").report
     return [
         Metric("oracle.distill.psnr_roi_heldout", report["psnr_roi_heldout"], "dB"),
@@ -57,14 +58,14 @@ def run(frames: int) -> list[Metric]:
     ]
 
 
-def distil_twice(street: Street, progress: Progress) -> tuple[dict[str, Any], dict[str, float]]:
+def distil_twice(street: Street, config: DistillConfig, progress: Progress) -> tuple[dict[str, Any], dict[str, float]]:
     """Before the street as it was recorded: the report, and [dB] of orbit views and what symmetry is worth there."""
     task = progress.add_task("record", total=street.frames)
     street.render_all(lambda done, total: progress.update(task, completed=done))
     insertion, exact = street.insertion(), ExactBackground(street)
     scene = street.oracle(insertion)
     fits = [
-        follow(distill(scene, exact, insertion, DistillConfig(symmetry=symmetry)), progress, title)
+        follow(distill(scene, exact, insertion, replace(config, symmetry=symmetry)), progress, title)
         for symmetry, title in ((True, "distill"), (False, "distill without symmetry"))
     ]
     shares = np.array([sector["share"] for sector in fits[0].report["sectors"]])

@@ -65,20 +65,20 @@ class Recipe:
 STILLNESS = 0.1
 """Costs 0.1 dB where cameras looked; without it the sides that none saw turn into coloured noise."""
 
-_shadow = partial(Rates, means=4e-3, quats=1e-2, scales=3e-2, sh_rest=0.0, stillness=STILLNESS)
+_shadow = partial(Rates, quats=1e-2, sh_rest=0.0, stillness=STILLNESS)
 
 GENERATED = Recipe(
     body=Rates(
         means=2.2e-3,
         quats=1.8e-2,
-        scales=4.5e-2,
-        opacities=0.16,
-        sh_dc=9e-2,
+        scales=8e-2,
+        opacities=0.11,
+        sh_dc=7.7e-2,
         sh_rest=9e-3,
-        betas=(0.8, 0.95),
+        betas=(0.85, 0.95),
         stillness=STILLNESS,
     ),
-    shadow=_shadow(opacities=0.1, sh_dc=5e-2, betas=(0.8, 0.95)),
+    shadow=_shadow(means=6e-3, scales=6e-2, opacities=0.07, sh_dc=5e-2, betas=(0.8, 0.95)),
     hold=0.75,
     final=0.05,
     robust=False,
@@ -99,7 +99,7 @@ RECORDED = Recipe(
         betas=(0.9, 0.99),
         stillness=STILLNESS,
     ),
-    shadow=_shadow(opacities=0.1, sh_dc=2e-2, betas=(0.9, 0.99)),
+    shadow=_shadow(means=4e-3, scales=3e-2, opacities=0.1, sh_dc=2e-2, betas=(0.9, 0.99)),
     hold=0.0,
     final=0.05,
     robust=True,
