@@ -53,7 +53,7 @@ class Recipe:
     final: float
     """Factor on the rates at the end."""
     robust: bool
-    """L1 with D-SSIM, which forgive what no rigid car explains; else squared error, views equally heavy."""
+    """L1 with D-SSIM, which forgive what no rigid car explains; else squared error, views by its logarithm."""
     path: PathPrior
     refines_poses: bool
     """Whether boxes were annotated and may be off by centimetres; a generated vehicle is where it was put, unless its

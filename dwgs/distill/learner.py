@@ -17,8 +17,8 @@ from dwgs.splat import Drawing, RetainedCloud
 
 TAIL = 0.1
 """Fraction of the schedule, its end, over which the result is averaged."""
-EVENNESS = (0.5, 2.0)
-"""Bounds on the weight that makes every view equally heavy."""
+EVENNESS = (0.3, 3.0)
+"""Bounds on the weight that makes every view count by the logarithm of its error, as in decibels."""
 SETTLINGS, LEAST_BETWEEN = 3, 8
 """So many times in a round through the frames poses settle, but not after fewer steps than this."""
 
@@ -91,7 +91,7 @@ class Learner:
         if not self._recipe.robust:
             self._squared_errors[i] = max(error, 1e-8)
             mean = sum(self._squared_errors.values()) / len(self._squared_errors)
-            evenness = float(np.clip((mean / self._squared_errors[i]) ** 0.5, *EVENNESS))
+            evenness = float(np.clip(mean / self._squared_errors[i], *EVENNESS))
             drawing.v_rgb.mul_(evenness)
         drawing.v_depth.zero_()
         drawing.v_alpha.zero_()
