@@ -23,12 +23,12 @@ Look = tuple[Shot, View, Gaussians]
 def observations(looks: Iterable[Look], count: int, threads: int) -> NDArray[np.uint32]:
     """[count] how many of the frames saw each of the first Gaussians, where they were compared with them."""
     counts = np.zeros(count, np.uint32)
-    for pixels in pixels_shown(looks, count, threads):
+    for pixels in _pixels_shown(looks, count, threads):
         counts += pixels > LEAST_PIXELS
     return counts
 
 
-def pixels_shown(looks: Iterable[Look], count: int, threads: int) -> Iterator[NDArray[np.float32]]:
+def _pixels_shown(looks: Iterable[Look], count: int, threads: int) -> Iterator[NDArray[np.float32]]:
     """[count] of every frame in turn: how many of its compared pixels each of the first Gaussians colours, by weight.
 
     The weight of a Gaussian in an image is the image's derivative by its colour.
