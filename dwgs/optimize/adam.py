@@ -16,6 +16,8 @@ from dwgs.splat.parallel import launch
 
 EPSILON = 1e-15
 """Adam's, where nothing shall be still."""
+TREND_BETA = 0.99
+"""Of the slower running mean: a hundred views agree on where it points, and what only one of them wants is gone."""
 THREADS, WORTH_A_THREAD = 2, 8
 """How many share a step on a CPU, and spans that take longer than to hand them over."""
 
@@ -26,7 +28,7 @@ class Group:
 
     raw: Tensor
     moments: list[Tensor]
-    """Running means of the gradient and of its square."""
+    """Running means of the gradient and of its square, and (if it is amplified) the slower one that is its trend."""
     derivative: Tensor | None
     """Of the activated by the raw parameters; read at every step. None: 1."""
     rates: tuple[float, float]
@@ -75,11 +77,10 @@ class Activated:
 class Adam(Protocol):
     """Steps of groups by name."""
 
-    def step(self, gradients: Mapping[str, Tensor], clock: Tensor, betas: tuple[float, float], still: float) -> None:
+    def step(self, gradients: Mapping[str, Tensor], clock: Tensor) -> None:
         """Carry gradients by the activated parameters to the parameters.
 
-        ``clock`` [4], where they are, counts the steps and holds a factor on the rates. Gradients below a share
-        ``still`` of their group's root mean square move their parameter in proportion.
+        ``clock`` [4], where they are, counts the steps and holds a factor on the rates.
         """
         ...
 
@@ -92,14 +93,26 @@ class Adam(Protocol):
         ...
 
 
-def adam(groups: Mapping[str, Group], activated: Activated) -> Adam:
+@dataclass(frozen=True)
+class Inertia:
+    """How gradients move parameters."""
+
+    betas: tuple[float, float]
+    """Of Adam's running means."""
+    still: float
+    """Gradients below this share of their group's root mean square move their parameter in proportion."""
+    trend: float
+    """With this weight the trend of gradients is added to them, in the groups that keep one."""
+
+
+def adam(groups: Mapping[str, Group], activated: Activated, inertia: Inertia) -> Adam:
     """On a CPU or on a GPU, wherever they are; the Gaussians are those of the parameters from now on."""
-    return (_OnCuda if activated.means.is_cuda else _OnCpu)(groups, activated)
+    return (_OnCuda if activated.means.is_cuda else _OnCpu)(groups, activated, inertia)
 
 
 class _OnCpu:
-    def __init__(self, groups: Mapping[str, Group], activated: Activated) -> None:
-        self._to = activated.activate(groups)
+    def __init__(self, groups: Mapping[str, Group], activated: Activated, inertia: Inertia) -> None:
+        self._to, self._inertia = activated.activate(groups), inertia
         self._groups = [_fill(adam_cpu.Group(), groups[name]) for name in NAMES]
         for group in self._groups:
             pattern = (np.arange(group.period + adam_cpu.LANES) % group.period >= 3).astype(np.float32)
@@ -116,15 +129,16 @@ class _OnCpu:
         self._gradients: list[Tensor | None] = []
         self._run: Any = None
 
-    def step(self, gradients: Mapping[str, Tensor], clock: Tensor, betas: tuple[float, float], still: float) -> None:
+    def step(self, gradients: Mapping[str, Tensor], clock: Tensor) -> None:
         clock[0] += 1
         steps, factor, *_ = clock.tolist()
         self._numbers[:, :2] = factor * self._rates
-        self._numbers[:, 2:4] = np.maximum(still * np.sqrt(self._mean_squares), EPSILON)
-        self._numbers[:, 4:] = 1 / (1 - betas[0] ** steps), (1 - betas[1] ** steps) ** -0.5
+        self._numbers[:, 2:4] = np.maximum(self._inertia.still * np.sqrt(self._mean_squares), EPSILON)
+        beta1, beta2 = self._inertia.betas
+        self._numbers[:, 4:] = 1 / (1 - beta1**steps), (1 - beta2**steps) ** -0.5
         in_order = [gradients.get(name) for name in NAMES]
         if not _are_same(in_order, self._gradients):
-            self._pack(in_order, betas)
+            self._pack(in_order)
         self._run()
         is_known = [name in gradients for name in NAMES]
         sums = self._sums.sum(0, dtype=np.float64) / self._sizes
@@ -136,14 +150,15 @@ class _OnCpu:
     def load_state(self, state: list[list[float]]) -> None:
         self._mean_squares[:] = state
 
-    def _pack(self, gradients: list[Tensor | None], betas: tuple[float, float]) -> None:
+    def _pack(self, gradients: list[Tensor | None]) -> None:
         self._gradients = gradients
         for group, gradient in zip(self._groups, gradients, strict=True):
             group.gradient = None if gradient is None else wp.from_torch(gradient.view(-1))
         numbers = wp.array(self._numbers, dtype=adam_cpu.vec6, device="cpu", copy=False)
         out = wp.array(self._sums, dtype=wp.vec2, device="cpu", copy=False)
         threads = THREADS if len(self._sums) >= WORTH_A_THREAD else 1
-        self._run = crew.pack(adam_cpu.adam, [*self._groups, numbers, *betas, self._to, out], threads)
+        inertia = *self._inertia.betas, TREND_BETA, self._inertia.trend
+        self._run = crew.pack(adam_cpu.adam, [*self._groups, numbers, *inertia, self._to, out], threads)
 
 
 def _sums_of(group: Group) -> tuple[float, float]:
@@ -162,15 +177,16 @@ def _are_same(these: list[Tensor | None], those: list[Tensor | None]) -> bool:
 
 
 class _OnCuda:
-    def __init__(self, groups: Mapping[str, Group], activated: Activated) -> None:
-        self._to = activated.activate(groups)
+    def __init__(self, groups: Mapping[str, Group], activated: Activated, inertia: Inertia) -> None:
+        self._to, self._inertia = activated.activate(groups), inertia
         self._variances = [groups[name].moments[1].view(-1, groups[name].period) for name in NAMES]
         self._groups = {name: _fill(adam_cuda.Group(), groups[name]) for name in NAMES}
         for name, group in self._groups.items():
             group.rate, group.rest_rate = groups[name].rates
         self._stills = torch.full((len(NAMES), 2), EPSILON, device=activated.means.device)
 
-    def step(self, gradients: Mapping[str, Tensor], clock: Tensor, betas: tuple[float, float], still: float) -> None:
+    def step(self, gradients: Mapping[str, Tensor], clock: Tensor) -> None:
+        betas, still = self._inertia.betas, self._inertia.still
         if still:
             for stills, variance in zip(self._stills, self._variances, strict=True):
                 for k, part in enumerate((variance[:, :3], variance[:, 3:])):
@@ -180,7 +196,8 @@ class _OnCuda:
             group.gradient = wp.from_torch(gradients[name].view(-1)) if name in gradients else None
         count = sum(gradient.numel() for gradient in gradients.values())
         in_clock, device = wp.from_torch(clock), wp.device_from_torch(clock.device)
-        inputs = [*self._groups.values(), in_clock, wp.from_torch(self._stills), *betas, self._to]
+        inertia = *betas, TREND_BETA, self._inertia.trend
+        inputs = [*self._groups.values(), in_clock, wp.from_torch(self._stills), *inertia, self._to]
         with torch_stream(clock.device):
             wp.launch(adam_cuda.tick, 1, [in_clock, *betas], device=device, record_tape=False)
             wp.launch(adam_cuda.adam, count, inputs, device=device, record_tape=False)
@@ -195,6 +212,8 @@ class _OnCuda:
 def _fill(struct: Any, group: Group) -> Any:
     """What both kernels take."""
     tensors = {"raw": group.raw, "moment": group.moments[0], "variance": group.moments[1]}
+    if len(group.moments) > 2:
+        tensors["trend"] = group.moments[2]
     if group.derivative is not None:
         tensors["derivative"] = group.derivative
     for key, tensor in tensors.items():

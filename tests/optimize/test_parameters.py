@@ -48,10 +48,10 @@ def test_steps_go_downhill():
     assert losses[-1] < losses[0]
 
 
-@pytest.mark.parametrize("stillness", [0.0, 0.3])
-def test_steps_are_those_of_adam_on_logs_and_logits(stillness):
+@pytest.mark.parametrize(("stillness", "trend"), [(0.0, 0.0), (0.3, 0.0), (0.3, 1.5)])
+def test_steps_are_those_of_adam_on_logs_and_logits_by_amplified_gradients(stillness, trend):
     gaussians = cloud(9000)
-    parameters = SplatParameters(gaussians, replace(RATES, stillness=stillness))
+    parameters = SplatParameters(gaussians, replace(RATES, stillness=stillness, trend=trend))
     raw = {
         "means": torch.tensor(gaussians.means),
         "quats": torch.tensor(gaussians.quats),
@@ -62,6 +62,7 @@ def test_steps_are_those_of_adam_on_logs_and_logits(stillness):
     }
     groups = [{"params": [values.requires_grad_()], "lr": getattr(RATES, name)} for name, values in raw.items()]
     adam = torch.optim.Adam(groups, betas=RATES.betas, eps=1e-15)
+    trends = {name: torch.zeros_like(values) for name, values in raw.items()}
     weights = [torch.randn(9000, 26, generator=torch.Generator().manual_seed(k)) for k in range(4)]
 
     def loss(means, quats, scales, opacities, sh, weight):
@@ -74,6 +75,9 @@ def test_steps_are_those_of_adam_on_logs_and_logits(stillness):
         parameters.step()
         sh = torch.cat([raw["sh_dc"], raw["sh_rest"]], 1)
         loss(raw["means"], raw["quats"], raw["scales"].exp(), raw["opacities"].sigmoid(), sh, weight).backward()
+        for name in set(raw) - {"opacities"}:
+            gradient = raw[name].grad
+            gradient += trend * trends[name].lerp_(gradient, 0.01)
         for group in adam.param_groups:
             known = adam.state.get(group["params"][0])
             group["eps"] = max(1e-15, stillness * known["exp_avg_sq"].mean().sqrt().item()) if known else 1e-15

@@ -1,5 +1,6 @@
 # type: ignore  (Warp's language, which is not Python's)
-"""Adam (Kingma and Ba 2015) in one pass over memory, on a CPU: sixteen numbers per instruction."""
+"""Adam (Kingma and Ba 2015), if wanted of gradients whose trend is amplified (Grokfast, Lee et al. 2024), in one pass
+over memory, on a CPU: sixteen numbers per instruction."""
 
 import warp as wp
 
@@ -23,9 +24,11 @@ class Group:
 
     raw: wp.array(dtype=float)
     moment: wp.array(dtype=float)
-    """Running mean of the gradient."""
+    """Running mean of the gradient and its trend."""
     variance: wp.array(dtype=float)
     """Running mean of its square."""
+    trend: wp.array(dtype=float)
+    """Slower running mean of the gradient, which is added to it; empty: none is."""
     derivative: wp.array(dtype=float)
     """Of the activated by the raw parameter; empty: 1."""
     gradient: wp.array(dtype=float)
@@ -42,8 +45,11 @@ class Group:
     const bool derived = group.derivative.shape[0] > 0;
     const float rate = numbers[0], rest_rate = numbers[1], still = numbers[2], rest_still = numbers[3];
     const float step1 = numbers[4], step2 = numbers[5];
-    auto advance = [&](auto g, auto d, auto& raw, auto& m, auto& v, auto own_rate, auto own_still, auto root) {
+    const bool trends = group.trend.shape[0] > 0;
+    auto advance = [&](auto g, auto d, auto& raw, auto& m, auto& v, auto& t, auto own_rate, auto own_still, auto root) {
         g *= d;
+        t = trend_beta * t + (1.0f - trend_beta) * g;
+        g += trend_weight * t;
         m = beta1 * m + (1.0f - beta1) * g;
         v = beta2 * v + (1.0f - beta2) * g * g;
         raw -= own_rate * step1 * m / (root(v) * step2 + own_still);
@@ -54,12 +60,14 @@ class Group:
         auto load = [](const float* at) -> block { return *(const loose*)at; };
         const int p = i % group.period;
         block raw = load(group.raw.data + i), m = load(group.moment.data + i), v = load(group.variance.data + i);
+        block t = trends ? load(group.trend.data + i) : block{};
         const block d = derived ? load(group.derivative.data + i) : block{} + 1.0f, r = load(group.is_rest.data + p);
-        advance(load(group.gradient.data + i), d, raw, m, v, rate + r * (rest_rate - rate),
+        advance(load(group.gradient.data + i), d, raw, m, v, t, rate + r * (rest_rate - rate),
                 still + r * (rest_still - still), [](block x) -> block { return __builtin_elementwise_sqrt(x); });
         *(loose*)(group.raw.data + i) = raw;
         *(loose*)(group.moment.data + i) = m;
         *(loose*)(group.variance.data + i) = v;
+        if (trends) *(loose*)(group.trend.data + i) = t;
         all += v;
         rest += v * r;
     }
@@ -69,17 +77,28 @@ class Group:
         const int p = i % group.period;
         const bool r = group.is_rest.data[p] > 0.0f;
         float raw = group.raw.data[i], m = group.moment.data[i], v = group.variance.data[i];
-        advance(group.gradient.data[i], derived ? group.derivative.data[i] : 1.0f, raw, m, v, r ? rest_rate : rate,
+        float t = trends ? group.trend.data[i] : 0.0f;
+        advance(group.gradient.data[i], derived ? group.derivative.data[i] : 1.0f, raw, m, v, t, r ? rest_rate : rate,
                 r ? rest_still : still, [](float x) -> float { return __builtin_sqrtf(x); });
         group.raw.data[i] = raw;
         group.moment.data[i] = m;
         group.variance.data[i] = v;
+        if (trends) group.trend.data[i] = t;
         total += v;
         total_rest += r ? v : 0.0f;
     }
     return wp::vec2(total - total_rest, total_rest);
 """)
-def adam_span(begin: int, end: int, group: Group, numbers: vec6, beta1: float, beta2: float) -> wp.vec2:
+def adam_span(
+    begin: int,
+    end: int,
+    group: Group,
+    numbers: vec6,
+    beta1: float,
+    beta2: float,
+    trend_beta: float,
+    trend_weight: float,
+) -> wp.vec2:
     """One step for the parameters [begin, end); the sums of both classes' new variances."""
 
 
@@ -94,6 +113,8 @@ def adam(
     numbers: wp.array(dtype=vec6),
     beta1: float,
     beta2: float,
+    trend_beta: float,
+    trend_weight: float,
     # outputs
     to: Activation,
     sums: wp.array2d(dtype=wp.vec2),
@@ -111,11 +132,11 @@ def adam(
         begin = span * SPAN
         end = wp.min(begin + SPAN, opacities.raw.shape[0])
         width = sh.period
-        sums[span, 0] = adam_span(3 * begin, 3 * end, means, numbers[0], beta1, beta2)
-        sums[span, 1] = adam_span(4 * begin, 4 * end, quats, numbers[1], beta1, beta2)
-        sums[span, 2] = adam_span(3 * begin, 3 * end, scales, numbers[2], beta1, beta2)
-        sums[span, 3] = adam_span(begin, end, opacities, numbers[3], beta1, beta2)
-        sums[span, 4] = adam_span(width * begin, width * end, sh, numbers[4], beta1, beta2)
+        sums[span, 0] = adam_span(3 * begin, 3 * end, means, numbers[0], beta1, beta2, trend_beta, trend_weight)
+        sums[span, 1] = adam_span(4 * begin, 4 * end, quats, numbers[1], beta1, beta2, trend_beta, trend_weight)
+        sums[span, 2] = adam_span(3 * begin, 3 * end, scales, numbers[2], beta1, beta2, trend_beta, trend_weight)
+        sums[span, 3] = adam_span(begin, end, opacities, numbers[3], beta1, beta2, trend_beta, trend_weight)
+        sums[span, 4] = adam_span(width * begin, width * end, sh, numbers[4], beta1, beta2, trend_beta, trend_weight)
         activate_means(3 * begin, 3 * end, means.raw, to)
         activate_scales(3 * begin, 3 * end, scales.raw, to)
         activate_opacities(begin, end, opacities.raw, to)

@@ -1,5 +1,6 @@
 # type: ignore  (Warp's language, which is not Python's)
-"""Adam (Kingma and Ba 2015) in one pass over memory, on a GPU: one launch for all groups, one number per thread."""
+"""Adam (Kingma and Ba 2015), if wanted of gradients whose trend is amplified (Grokfast, Lee et al. 2024), in one pass
+over memory, on a GPU: one launch for all groups, one number per thread."""
 
 import warp as wp
 
@@ -16,9 +17,11 @@ class Group:
 
     raw: wp.array(dtype=float)
     moment: wp.array(dtype=float)
-    """Running mean of the gradient."""
+    """Running mean of the gradient and its trend."""
     variance: wp.array(dtype=float)
     """Running mean of its square."""
+    trend: wp.array(dtype=float)
+    """Slower running mean of the gradient, which is added to it; empty: none is."""
     derivative: wp.array(dtype=float)
     """Of the activated by the raw parameter; empty: 1."""
     gradient: wp.array(dtype=float)
@@ -30,12 +33,23 @@ class Group:
 
 @wp.func
 def advance(
-    group: Group, i: int, clock: wp.array(dtype=float), stills: wp.array(dtype=float), beta1: float, beta2: float
+    group: Group,
+    i: int,
+    clock: wp.array(dtype=float),
+    stills: wp.array(dtype=float),
+    beta1: float,
+    beta2: float,
+    trend_beta: float,
+    trend_weight: float,
 ):
     """One step of one number."""
     g = group.gradient[i]
     if group.derivative.shape[0] > 0:
         g *= group.derivative[i]
+    if group.trend.shape[0] > 0:
+        t = trend_beta * group.trend[i] + (1.0 - trend_beta) * g
+        group.trend[i] = t
+        g += trend_weight * t
     m = beta1 * group.moment[i] + (1.0 - beta1) * g
     v = beta2 * group.variance[i] + (1.0 - beta2) * g * g
     group.moment[i] = m
@@ -59,6 +73,8 @@ def adam(
     stills: wp.array2d(dtype=float),
     beta1: float,
     beta2: float,
+    trend_beta: float,
+    trend_weight: float,
     # outputs
     to: Activation,
 ):
@@ -71,22 +87,22 @@ def adam(
     """
     i = wp.tid()
     if i < means.gradient.shape[0]:
-        advance(means, i, clock, stills[0], beta1, beta2)
+        advance(means, i, clock, stills[0], beta1, beta2, trend_beta, trend_weight)
         activate_means(i, i + 1, means.raw, to)
     i -= means.gradient.shape[0]
     if i >= 0 and i < quats.gradient.shape[0]:
-        advance(quats, i, clock, stills[1], beta1, beta2)
+        advance(quats, i, clock, stills[1], beta1, beta2, trend_beta, trend_weight)
     i -= quats.gradient.shape[0]
     if i >= 0 and i < scales.gradient.shape[0]:
-        advance(scales, i, clock, stills[2], beta1, beta2)
+        advance(scales, i, clock, stills[2], beta1, beta2, trend_beta, trend_weight)
         activate_scales(i, i + 1, scales.raw, to)
     i -= scales.gradient.shape[0]
     if i >= 0 and i < opacities.gradient.shape[0]:
-        advance(opacities, i, clock, stills[3], beta1, beta2)
+        advance(opacities, i, clock, stills[3], beta1, beta2, trend_beta, trend_weight)
         activate_opacities(i, i + 1, opacities.raw, to)
     i -= opacities.gradient.shape[0]
     if i >= 0 and i < sh.gradient.shape[0]:
-        advance(sh, i, clock, stills[4], beta1, beta2)
+        advance(sh, i, clock, stills[4], beta1, beta2, trend_beta, trend_weight)
 
 
 @wp.kernel
