@@ -16,14 +16,14 @@ from typing import Any
 import torch
 import warp as wp
 
-from dwgs.splat.kernels import bin_cuda, composite_cpu, composite_cuda, crew, gather, project
+from dwgs.splat.kernels import among_cpu, bin_cuda, composite_cpu, composite_cuda, crew, gather, project
 
 CHUNKS_PER_THREAD = 4
 """Threads take chunks as they come, so one slow thread does not hold up the rest."""
 BLOCK = 128
 """Threads per block of a GPU: twenty thousand Gaussians keep all of a large one busy."""
 
-_MODULES = {"cpu": (project, composite_cpu, crew), "cuda": (project, bin_cuda, composite_cuda, gather)}
+_MODULES = {"cpu": (project, among_cpu, composite_cpu, crew), "cuda": (project, bin_cuda, composite_cuda, gather)}
 _loaded: set[str] = set()
 _loading = threading.Lock()
 _pool = ThreadPoolExecutor(max_workers=16, thread_name_prefix="splat")

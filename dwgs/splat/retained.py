@@ -13,7 +13,9 @@ from torch import Tensor
 from dwgs.splat import crew
 from dwgs.splat.constants import TILE
 from dwgs.splat.kernels import composite_cpu as kernels
+from dwgs.splat.kernels.among_cpu import Among
 from dwgs.splat.kernels.gather import slot10
+from dwgs.splat.ops.among import deal
 from dwgs.splat.ops.binned import Binned
 from dwgs.splat.ops.composite import PLANES, canvas_of, gradient_of
 from dwgs.splat.ops.composite_cpu import run_size
@@ -47,7 +49,7 @@ class RetainedCloud:
         self._memory: dict[str, Tensor] = {}
 
     def picture(self, view: View, layers: Layers | None = None, among: Projected | None = None) -> "Picture":
-        """What a single ``view`` sees of the cloud, see `render`."""
+        """What a single ``view`` sees of the cloud, see `render`; what is ``among`` it is dealt to tiles once, here."""
         return Picture(self, view, layers, among)
 
     def memory(self, sizes: dict[str, int], dtype: torch.dtype) -> dict[str, Tensor]:
@@ -63,7 +65,8 @@ class Picture:
     """One view of a `RetainedCloud`."""
 
     def __init__(self, cloud: RetainedCloud, view: View, layers: Layers | None, among: Projected | None) -> None:
-        self._cloud, self._view, self._layers, self._among = cloud, view, layers, among
+        self._cloud, self._view, self._layers = cloud, view, layers
+        self._among = Among() if among is None else deal(among, view, layers)
         self.viewmat = view.viewmat.detach().clone()
         """[4, 4] to be changed in place where the camera moves."""
         self.v_viewmat = torch.zeros(4, 4)
@@ -74,13 +77,11 @@ class Picture:
 
     def draw(self) -> "Drawing":
         """The image as the splats are now, in memory that the next picture is drawn in."""
-        cloud, count = self._cloud, len(self._cloud.splats)
+        cloud = self._cloud
         while True:
             packed = self._packed
             if packed is None or (packed.generation, packed.room) != (cloud.generation, cloud.room):
                 packed = self._packed = self._pack()
-            if self._among is not None:
-                packed.records[count:] = self._among.records
             packed.draw()
             total = int(self._total)
             if total <= packed.room:
@@ -99,27 +100,23 @@ class Picture:
     def _memory(self) -> dict[str, Tensor]:
         """What it is drawn in."""
         cloud, view, room = self._cloud, self._view, self._cloud.room
-        n, count, tiles = len(cloud.splats), self._count, view.tiles[0] * view.tiles[1]
-        sizes = {"isects": room, "spare_isects": room, "gaussians": room, "ends": count, "ranges": 2 * tiles}
+        n, tiles = len(cloud.splats), view.tiles[0] * view.tiles[1]
+        sizes = {"isects": room, "spare_isects": room, "gaussians": room, "ends": n, "ranges": 2 * tiles}
         whole = cloud.memory(sizes | {"places": self._runs * tiles}, torch.int32)
-        sizes = {"depths": room, "spare_depths": room, "slots": 10 * room, "records": 16 * count, "v_records": 16 * n}
+        sizes = {"depths": room, "spare_depths": room, "slots": 10 * room, "records": 16 * n, "v_records": 16 * n}
         sizes |= {"image": PLANES * tiles * TILE**2, "v_image": PLANES * view.height * view.width}
         return whole | cloud.memory(sizes, torch.float32)
 
     @property
-    def _count(self) -> int:
-        """Gaussians."""
-        return len(self._cloud.splats) + (0 if self._among is None else len(self._among))
-
-    @property
     def _runs(self) -> int:
-        return -(-self._count // run_size(self._count, self._cloud.threads))
+        count = len(self._cloud.splats)
+        return -(-count // run_size(count, self._cloud.threads))
 
     def _pack(self) -> "_Packed":
-        cloud, view, count, own = self._cloud, self._view, self._count, self._memory()
+        cloud, view, own = self._cloud, self._view, self._memory()
         n, height, width = len(cloud.splats), view.height, view.width
         planes = (PLANES, *whole_tiles(height, width))
-        records, image = own["records"].view(1, count, 16), own["image"].view(1, *planes)
+        records, image = own["records"].view(1, n, 16), own["image"].view(1, *planes)
         shown, v_image = image[0, :, :height, :width], own["v_image"].view(PLANES, height, width)
         images = shown[:3].movedim(0, -1), shown[3], shown[4]
         v_images = v_image[:3].movedim(0, -1), v_image[3], v_image[4]
@@ -128,17 +125,20 @@ class Picture:
         tensors = (*(leaf.detach() for leaf in cloud.leaves), self.viewmat[None, None])
         subject = Subject.of(moving, Objects((n,), torch.eye(4)[None]), False, tensors)
         bins = Binned(own["ends"], own["gaussians"], own["isects"], own["ranges"].view(-1, 2)).to_warp()
-        canvas = canvas_of(view, records, self._layers, torch.zeros(count, 0))
+        canvas = canvas_of(view, records, self._layers, torch.zeros(n, 0))
         ends, flat = wp.from_torch(own["ends"]), wp.from_torch(own["image"])
-        run = run_size(count, cloud.threads)
+        run = run_size(n, cloud.threads)
         outputs = [as_records(records), ends, wp.from_torch(own["places"].view(self._runs, -1))]
         outputs += [wp.from_torch(own[name]) for name in ("depths", "spare_depths", "spare_isects")]
         outputs += [flat, wp.from_torch(self._total)]
-        draw = crew.pack(kernels.composite, [subject.cloud, subject.lens, canvas, bins, run, *outputs], cloud.threads)
+        draw = crew.pack(
+            kernels.composite, [subject.cloud, subject.lens, canvas, bins, run, self._among, *outputs], cloud.threads
+        )
 
         v_subject = SubjectGradient.of(subject, tensors, cloud.moves, cloud.gradients)
         v_in = gradient_of((*v_images, None), (1, PLANES, height, width), records.device)
-        inputs = [subject.cloud, subject.lens, canvas, bins, as_records(records), flat, v_in, n, ends, v_subject.spans]
+        inputs = [subject.cloud, subject.lens, canvas, bins, as_records(records), self._among]
+        inputs += [flat, v_in, n, ends, v_subject.spans]
         outputs = [wp.from_torch(own["slots"].view(-1, 10), dtype=slot10), wp.from_torch(torch.zeros(0))]
         outputs += [
             as_records(own["v_records"]),
@@ -148,7 +148,7 @@ class Picture:
         ]
         adjoint = crew.pack(kernels.composite_adjoint, [*inputs, *outputs], cloud.threads)
         drawing = Drawing(*images, *v_images)
-        return _Packed(cloud.generation, cloud.room, draw, adjoint, v_subject.v_spans, records[0], drawing)
+        return _Packed(cloud.generation, cloud.room, draw, adjoint, v_subject.v_spans, drawing)
 
 
 @dataclass(frozen=True)
@@ -175,5 +175,4 @@ class _Packed:
     adjoint: Callable[[], None]
     v_spans: Tensor
     """[1, spans, 4, 4] by the pose."""
-    records: Tensor
     drawing: Drawing

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from dwgs.splat import crew
 from dwgs.splat.kernels import composite_cpu as kernels
+from dwgs.splat.kernels.among_cpu import Among
 from dwgs.splat.kernels.gather import slot10
 from dwgs.splat.ops.binned import Binned
 from dwgs.splat.ops.project import Subject, SubjectGradient, as_records
@@ -51,7 +52,7 @@ def draw(
         spares = [scratch(name, room, torch.float32, _CPU) for name in ("depths", "spare_depths")]
         spares.append(scratch("spare_isects", room, torch.int32, _CPU))
         outputs = [wp.from_torch(t, return_ctype=True) for t in (ends, places, *spares, image.view(-1), total)]
-        inputs = [subject.cloud, subject.lens, canvas, binned.to_warp(), run, as_records(records), *outputs]
+        inputs = [subject.cloud, subject.lens, canvas, binned.to_warp(), run, Among(), as_records(records), *outputs]
         crew.pack(kernels.composite, inputs, threads)()
         count = int(total)
         if count <= room:
@@ -82,6 +83,7 @@ def draw_adjoint(
         canvas,
         binned.to_warp(),
         as_records(records),
+        Among(),
         flat,
         v_image,
         trainable,
