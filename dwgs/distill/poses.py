@@ -2,34 +2,25 @@
 
 Annotated boxes are off by centimetres, and so are trajectories that people or networks made up. Each frame says where
 the vehicle should go: by the gradient of its loss, and by how much its picture changes as the vehicle moves (Gauss-
-Newton, Lucas and Kanade 1981). All frames are settled together, because a vehicle has mass: its path has little jerk.
+Newton, Lucas and Kanade 1981). All frames are settled together, on a path that a vehicle may have driven.
 """
 
 from collections.abc import Mapping, Sequence
-from math import factorial
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from dwgs.distill.config import Recipe
+from dwgs.distill.path import Path, apart, moved
 from dwgs.distill.shots import Shot, Sight
 from dwgs.scene import Trajectory
 from dwgs.scene.pose import inverse, pose
 from dwgs.splat import Splats, render
 
-ROUGH = np.repeat((1e-3, 5e-3), 3)
-"""Noise of a path [rad, m] above which no vehicle drives it."""
 MOST = np.repeat((0.05, 0.2), 3)
 """How far [rad, m] a pose may be corrected about or along each axis: the layers of the background allow for more."""
-TO_AND_FRO = -0.4
-"""Correlation of a path's jerk with the next; white noise has -0.75, a manoeuvre has more than 0."""
-STRIDE = 8
-"""Sights from one to the next that tell how sharply a trembling path bends."""
-LONG = 0.5
-"""Seconds between frames over which nothing is known of a path."""
 REFRESH = 4
 """Looks at a sight after which it is found out anew how its picture depends on the pose."""
 UNDERRATED = 2
@@ -58,20 +49,15 @@ class BoxPoses:
         self._nominal = np.array([sight.world_from_vehicle for sight in sights])
         self._world_from_camera = np.array([sight.camera.world_from_camera for sight in sights])
         self._world_from_vehicle = self._nominal.copy()
-        self._jerk_from_path = _derivative(sights, 3)
-        self._noise = self._measure_noise(_derivative(sights, 5))
-        far_apart = _derivative(sights, 3, stride=max(1, min(STRIDE, (len(sights) - 1) // 3)))
-        self._jerk = np.maximum(self._measure_jerk(far_apart), np.repeat(recipe.path.jerk, 3))
-        self._slack = np.maximum(self._noise, np.repeat(recipe.path.slack, 3))
+        cameras = [sight.frame.camera_name for sight in sights]
+        self._path = Path(self._times, cameras, self._nominal, recipe.path)
         self._looks = np.zeros(len(sights), int)
         self._sensitivity, self._information = np.zeros((2, len(sights), 6, 6))
         self._pull = np.zeros((len(sights), 6))
 
     def is_rough(self) -> bool:
         """Whether the path trembles as no vehicle does: to and fro, where one that bends sharply goes on bending."""
-        jerks = self._jerk_from_path @ self._path()
-        turns_back = (jerks[1:] * jerks[:-1]).sum(0) < TO_AND_FRO * (jerks**2).sum(0)
-        return bool((turns_back & (self._noise > ROUGH)).any())
+        return self._path.is_rough()
 
     def old_from_new(self, i: int) -> NDArray[np.float64]:
         """[4, 4] the correction of a sight: ``world_from_new = world_from_old @ old_from_new``."""
@@ -79,9 +65,7 @@ class BoxPoses:
 
     def corrections(self) -> NDArray[np.float64]:
         """[sights, 6] rotation vectors [rad] and shifts [m] in the world."""
-        turned = self._world_from_vehicle[:, :3, :3] @ np.swapaxes(self._nominal[:, :3, :3], 1, 2)
-        shifts = self._world_from_vehicle[:, :3, 3] - self._nominal[:, :3, 3]
-        return np.hstack([Rotation.from_matrix(turned).as_rotvec(), shifts])
+        return apart(self._world_from_vehicle, self._nominal)
 
     def refined(self, trajectory: Trajectory) -> Trajectory:
         """The trajectory with these corrections, at its own times and at those of the sights.
@@ -143,59 +127,11 @@ class BoxPoses:
 
     def settle(self) -> None:
         """Move every pose to where all that was observed, a smooth path, and small corrections agree best."""
-        count, corrections = len(self._nominal), self.corrections()
-        smooth = self._jerk_from_path.T @ self._jerk_from_path
-        matrix = sparse.block_diag(list(self._information + np.diag(self._slack**-2))) + sparse.kron(
-            smooth, np.diag(self._jerk**-2)
-        )
-        pull = self._pull + (smooth @ self._path()) * self._jerk**-2 + corrections * self._slack**-2
-        moves = -sparse.linalg.spsolve(matrix.tocsc(), pull.reshape(-1)).reshape(count, 6)
+        corrections = self.corrections()
+        moves = self._path.moves(self._world_from_vehicle, self._information, self._pull)
         moves = np.clip(corrections + moves, -MOST, MOST) - corrections
-        turned = Rotation.from_rotvec(moves[:, :3]).as_matrix() @ self._world_from_vehicle[:, :3, :3]
-        self._world_from_vehicle = pose(turned, self._world_from_vehicle[:, :3, 3] + moves[:, 3:])
+        self._world_from_vehicle = moved(self._world_from_vehicle, moves)
         self._pull += np.einsum("nij,nj->ni", self._information, moves)
-
-    def _path(self) -> NDArray[np.float64]:
-        """[sights, 6] angles [rad] turned since the first sight and places [m]."""
-        rotations = Rotation.from_matrix(self._world_from_vehicle[:, :3, :3])
-        turns = (rotations[1:] * rotations[:-1].inv()).as_rotvec()
-        angles = np.vstack([np.zeros(3), np.cumsum(turns.reshape(-1, 3), 0)])
-        return np.hstack([angles, self._world_from_vehicle[:, :3, 3]])
-
-    def _measure_noise(self, derivative: sparse.csr_array) -> NDArray[np.float64]:
-        """[6] sigma of the white noise about and along each axis [rad, m] that makes a high ``derivative`` so large."""
-        if derivative.nnz == 0:
-            return np.zeros(6)
-        return np.median(np.abs(derivative @ self._path()) / _sizes(derivative), 0) / 0.6745
-
-    def _measure_jerk(self, derivative: sparse.csr_array) -> NDArray[np.float64]:
-        """[6] of the path [rad/s^3, m/s^3] between places so far apart that noise makes little of it."""
-        if derivative.nnz == 0:
-            return np.zeros(6)
-        squares = (derivative @ self._path()) ** 2 - (_sizes(derivative) * self._noise) ** 2
-        return np.sqrt(np.maximum(squares.mean(0), 0))
-
-
-def _derivative(sights: Sequence[Sight], order: int, stride: int = 1) -> sparse.csr_array:
-    """[runs of sights of one camera, sights] by divided differences in time [1/s^order] of every so-many-th sight."""
-    times = np.array([sight.frame.camera.time for sight in sights])
-    cameras = [sight.frame.camera_name for sight in sights]
-    weights, places = [], []
-    for k in range(len(sights) - order * stride):
-        run = np.arange(k, k + order * stride + 1, stride)
-        t = times[run]
-        if cameras[run[0]] == cameras[run[-1]] and np.diff(t).max() < stride * LONG:
-            apart = t[:, None] - t + np.eye(order + 1)
-            weights.append(factorial(order) / apart.prod(1))
-            places.append(run)
-    rows = np.repeat(np.arange(len(weights)), order + 1)
-    columns = np.concatenate([*places, np.zeros(0, int)])
-    return sparse.csr_array((np.concatenate([*weights, np.zeros(0)]), (rows, columns)), (len(weights), len(sights)))
-
-
-def _sizes(derivative: sparse.csr_array) -> NDArray[np.float64]:
-    """[runs, 1] how much each row makes of white noise."""
-    return sparse.linalg.norm(derivative, axis=1).reshape(-1, 1)
 
 
 def sensitivity(
