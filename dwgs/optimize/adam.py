@@ -16,8 +16,9 @@ from dwgs.splat.parallel import launch
 
 EPSILON = 1e-15
 """Adam's, where nothing shall be still."""
-TREND_BETA = 0.99
-"""Of the slower running mean: a hundred views agree on where it points, and what only one of them wants is gone."""
+TREND_BETA, TREND_WEIGHT = 0.99, 1.5
+"""Of a running mean of a hundred gradients, which is added to each (Grokfast, Lee et al. 2024): one view at a time says
+little of what all of them want."""
 THREADS, WORTH_A_THREAD = 2, 8
 """How many share a step on a CPU, and spans that take longer than to hand them over."""
 
@@ -28,7 +29,7 @@ class Group:
 
     raw: Tensor
     moments: list[Tensor]
-    """Running means of the gradient and of its square, and (if it is amplified) the slower one that is its trend."""
+    """Running means of the gradient and of its square, and, if its trend is amplified, this."""
     derivative: Tensor | None
     """Of the activated by the raw parameters; read at every step. None: 1."""
     rates: tuple[float, float]
@@ -101,8 +102,6 @@ class Inertia:
     """Of Adam's running means."""
     still: float
     """Gradients below this share of their group's root mean square move their parameter in proportion."""
-    trend: float
-    """With this weight the trend of gradients is added to them, in the groups that keep one."""
 
 
 def adam(groups: Mapping[str, Group], activated: Activated, inertia: Inertia) -> Adam:
@@ -157,7 +156,7 @@ class _OnCpu:
         numbers = wp.array(self._numbers, dtype=adam_cpu.vec6, device="cpu", copy=False)
         out = wp.array(self._sums, dtype=wp.vec2, device="cpu", copy=False)
         threads = THREADS if len(self._sums) >= WORTH_A_THREAD else 1
-        inertia = *self._inertia.betas, TREND_BETA, self._inertia.trend
+        inertia = *self._inertia.betas, TREND_BETA, TREND_WEIGHT
         self._run = crew.pack(adam_cpu.adam, [*self._groups, numbers, *inertia, self._to, out], threads)
 
 
@@ -196,7 +195,7 @@ class _OnCuda:
             group.gradient = wp.from_torch(gradients[name].view(-1)) if name in gradients else None
         count = sum(gradient.numel() for gradient in gradients.values())
         in_clock, device = wp.from_torch(clock), wp.device_from_torch(clock.device)
-        inertia = *betas, TREND_BETA, self._inertia.trend
+        inertia = *betas, TREND_BETA, TREND_WEIGHT
         inputs = [*self._groups.values(), in_clock, wp.from_torch(self._stills), *inertia, self._to]
         with torch_stream(clock.device):
             wp.launch(adam_cuda.tick, 1, [in_clock, *betas], device=device, record_tape=False)

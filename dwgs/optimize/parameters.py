@@ -17,8 +17,6 @@ from dwgs.splat import Splats
 
 MAX_OPACITY = 1 - 1e-5
 """Beyond it the logit saturates in float32."""
-AMPLIFIED = ("means", "quats", "scales", "sh")
-"""Groups that follow the trend of their gradients. Opacities overshoot: with them a vehicle is 0.6 dB worse."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,9 +33,9 @@ class Rates:
     sh_dc: float
     sh_rest: float
     betas: tuple[float, float] = (0.9, 0.99)
-    trend: float = 0.0
-    """Weight of a slow mean of the gradients that is added to each (Grokfast, Lee et al. 2024): one view at a time says
-    little of what all of them want."""
+    amplified: tuple[str, ...] = ()
+    """Groups whose gradients' trend is amplified: they go far where all views agree, and overshoot where they start far
+    off."""
     stillness: float = 0.0
     """Gradients below this share of their group's root mean square move their parameter in proportion. Adam alone
     makes full steps of any gradient, so that what hardly shows wanders."""
@@ -74,7 +72,7 @@ class SplatParameters:
         self._limits = dict(zip(("lows", "highs", "log_most"), (*limits, most.log()), strict=True))
         self._clock = torch.zeros(4, device=device)  # see `Adam`: on a GPU, where a graph reads it
         raw = self._raw_from(gaussians, mean_step_scale)
-        kept = {name: 2 + (rates.trend > 0 and name in AMPLIFIED) for name in NAMES}
+        kept = {name: 2 + (name in rates.amplified) for name in NAMES}
         self._install(raw, {name: [torch.zeros_like(raw[name]) for _ in range(kept[name])] for name in NAMES})
 
     def __len__(self) -> int:
@@ -203,7 +201,7 @@ class SplatParameters:
             opacity_derivative,
             **self._limits,
         )
-        inertia = Inertia(self.rates.betas, self.rates.stillness, self.rates.trend)
+        inertia = Inertia(self.rates.betas, self.rates.stillness)
         self._adam = adam(groups, activated, inertia)
 
 

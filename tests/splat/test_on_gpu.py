@@ -143,7 +143,7 @@ def test_losses_are_those_of_a_cpu(loss):
 
 def trainable(splats: Splats, where: str) -> SplatParameters:
     rates = Rates(means=1e-3, quats=1e-3, scales=1e-3, opacities=1e-2, sh_dc=1e-2, sh_rest=1e-3)
-    rates = replace(rates, trend=1.5, stillness=0.1)
+    rates = replace(rates, stillness=0.1, amplified=("means", "sh"))
     return SplatParameters(splats.to_gaussians(), rates, bounds=np.array([[-3.0] * 3, [3.0] * 3]), device=where)
 
 
