@@ -226,8 +226,8 @@ def _derivative(times: NDArray[np.float64], cameras: Sequence[str], order: int, 
         run = np.arange(k, k + order * stride + 1, stride)
         t = times[run]
         if cameras[run[0]] == cameras[run[-1]] and np.diff(t).max() < stride * LONG:
-            apart = t[:, None] - t + np.eye(order + 1)
-            weights.append(factorial(order) / apart.prod(1))
+            spans = t[:, None] - t + np.eye(order + 1)
+            weights.append(factorial(order) / spans.prod(1))
             places.append(run)
     rows = np.repeat(np.arange(len(weights)), order + 1)
     columns = np.concatenate([*places, np.zeros(0, int)])

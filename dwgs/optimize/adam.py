@@ -29,7 +29,7 @@ class Group:
 
     raw: Tensor
     moments: list[Tensor]
-    """Running means of the gradient and of its square, and, if its trend is amplified, this."""
+    """Running means of the gradient and of its square, and its trend, if this is amplified."""
     derivative: Tensor | None
     """Of the activated by the raw parameters; read at every step. None: 1."""
     rates: tuple[float, float]

@@ -49,7 +49,7 @@ class RetainedCloud:
         self._memory: dict[str, Tensor] = {}
 
     def picture(self, view: View, layers: Layers | None = None, among: Projected | None = None) -> "Picture":
-        """What a single ``view`` sees of the cloud, see `render`; what is ``among`` it is dealt to tiles once, here."""
+        """What a single ``view`` sees of the cloud, see `render`; what is ``among`` it is dealt out once, here."""
         return Picture(self, view, layers, among)
 
     def memory(self, sizes: dict[str, int], dtype: torch.dtype) -> dict[str, Tensor]:

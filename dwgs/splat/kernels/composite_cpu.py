@@ -2,7 +2,7 @@
 """Projecting, binning and compositing on a CPU: 16x16 tiles, one vector register per block of 4x4 pixels.
 
 Native snippets, because Warp's own scalar loops run an order of magnitude slower here. Both begin with the
-same text, so that forward and adjoint see bit-equal alphas and transmittances.
+same text (`blocks`), so that forward and adjoint see bit-equal alphas and transmittances.
 """
 
 import warp as wp
