@@ -88,10 +88,10 @@ GENERATED = Recipe(
     refines_poses=False,
     visible=0.0,
 )
-"""For clean video whose geometry is exact. What follows the trend of its gradients (``amplified``) is worth 0.3 dB after 2,400
-steps. Opacities lose 0.6 dB by it, and colours of a body that begin far off 4 dB where frames are few. Shadows whose places
-follow theirs, too, are worth 0.13 dB more before the street as it is, but before a reconstruction they explain what that has
-wrong: the vehicle has 0.9 dB less on its pixels."""
+"""For clean video whose geometry is exact. What follows the trend of its gradients (``amplified``) is worth 0.3 dB
+after 2,400 steps. Opacities lose 0.6 dB by it, and colours of a body that begin far off 4 dB where frames are few.
+Shadows whose places follow theirs, too, are worth 0.13 dB more before the street as it is, but before a reconstruction
+they explain what that has wrong: the vehicle has 0.9 dB less on its pixels."""
 
 RECORDED = Recipe(
     body=Rates(

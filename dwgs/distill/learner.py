@@ -5,12 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from dwgs.distill.config import DistillConfig, Recipe
-from dwgs.distill.model import Vehicle
+from dwgs.distill.config import DistillConfig
 from dwgs.distill.photometric import Photometric, photometric
-from dwgs.distill.poses import BoxPoses
-from dwgs.distill.shots import Shot
-from dwgs.distill.symmetry import EVERY, Imagined, Pull
+from dwgs.distill.prepare import Prepared
+from dwgs.distill.symmetry import EVERY, Pull
 from dwgs.optimize import Checkpoint, Event, Step, hold_then_decay, view_order
 from dwgs.optimize.schedule import Pace
 from dwgs.splat import Drawing, RetainedCloud
@@ -27,27 +25,16 @@ class Learner:
     """A vehicle, its poses where they are refined, and the frames that teach them.
 
     Args:
-        shots: By their number among all sights.
-        vehicle: To be changed.
-        poses: To be changed; None: they are right.
-        imagined: How it looks where no frame looks; None: nobody knows.
-        recipe: How far to step, and by which loss.
+        prepared: Its vehicle and its poses change.
         config: What was asked for.
     """
 
-    def __init__(
-        self,
-        shots: dict[int, Shot],
-        vehicle: Vehicle,
-        poses: BoxPoses | None,
-        imagined: Imagined | None,
-        recipe: Recipe,
-        config: DistillConfig,
-    ) -> None:
-        self._shots, self._vehicle, self._poses, self._recipe, self._config = shots, vehicle, poses, recipe, config
-        self._cloud = RetainedCloud(vehicle.splats(), config.threads, moves=poses is not None)
-        self._pictures = {i: shot.frozen.retain(self._cloud, shot.view) for i, shot in shots.items()}
-        self._pull = None if imagined is None else Pull(imagined, self._cloud)
+    def __init__(self, prepared: Prepared, config: DistillConfig) -> None:
+        self._shots, self._vehicle, self._poses = prepared.shots, prepared.vehicle, prepared.poses
+        self._recipe, self._config = prepared.recipe, config
+        self._cloud = RetainedCloud(self._vehicle.splats(), config.threads, moves=self._poses is not None)
+        self._pictures = {i: shot.frozen.retain(self._cloud, shot.view) for i, shot in self._shots.items()}
+        self._pull = None if prepared.imagined is None else Pull(prepared.imagined, self._cloud)
         self._judges: dict[int, tuple[Drawing, Photometric]] = {}
         self._squared_errors: dict[int, float] = {}
         self._step = 0
