@@ -102,14 +102,16 @@ RECORDED = Recipe(
         sh_dc=4e-2,
         sh_rest=1e-2,
         betas=(0.9, 0.99),
+        amplified=("means", "quats", "scales", "sh"),
         stillness=STILLNESS,
     ),
     shadow=_shadow(means=4e-3, scales=3e-2, opacities=0.1, sh_dc=2e-2, betas=(0.9, 0.99)),
-    hold=0.0,
+    hold=0.5,
     final=0.05,
     robust=True,
     path=PathPrior(jerk=(2.0, 8.0), slack=(0.02, 0.1), coherence=1e3),
     refines_poses=True,
     visible=0.3,
 )
-"""For a car that a camera saw: annotated boxes, turning wheels, reflections."""
+"""For a car that a camera saw: annotated boxes, turning wheels, reflections. Of eight of a drive, holding the rates is
+worth 0.09 dB held-out after 1,200 steps on average, trends a further 0.03; 0.3 and 0.2 dB for one that overtakes."""
