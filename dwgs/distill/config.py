@@ -80,7 +80,14 @@ GENERATED = Recipe(
         amplified=("means", "quats", "scales"),
         stillness=STILLNESS,
     ),
-    shadow=_shadow(means=6e-3, scales=6e-2, opacities=0.07, sh_dc=4e-2, betas=(0.8, 0.95), amplified=("sh",)),
+    shadow=_shadow(
+        means=6e-3,
+        scales=6e-2,
+        opacities=0.07,
+        sh_dc=5e-2,
+        betas=(0.8, 0.95),
+        amplified=("scales", "sh"),
+    ),
     hold=0.4,
     final=0.05,
     robust=False,
@@ -90,7 +97,7 @@ GENERATED = Recipe(
 )
 """For clean video whose geometry is exact. What follows the trend of its gradients (``amplified``) is worth 0.3 dB
 after 2,400 steps. Opacities lose 0.6 dB by it, and colours of a body that begin far off 4 dB where frames are few.
-Shadows whose places follow theirs, too, are worth 0.13 dB more before the street as it is, but before a reconstruction
+Shadows whose places follow theirs, too, are worth 0.1 dB more before the street as it is, but before a reconstruction
 they explain what that has wrong: the vehicle has 0.9 dB less on its pixels."""
 
 RECORDED = Recipe(
